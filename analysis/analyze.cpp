@@ -1,0 +1,518 @@
+#include "analysis/analyze.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <map>
+#include <random>
+#include <set>
+#include <span>
+#include <tuple>
+#include <unordered_map>
+#include <utility>
+
+#include "analysis/format.h"
+#include "analysis/run_facts.h"
+#include "analysis/series.h"
+
+namespace energyprof::analysis {
+namespace {
+
+constexpr double outlier_ratio = 2;
+constexpr std::size_t replicate_count = 1000;
+constexpr uint64_t bootstrap_seed = 1;
+
+using Place = std::pair<std::string, int64_t>;  // model and view
+
+std::string place_name(const Place& place) {
+  return fmt::format("{}, view {}", place.first, place.second);
+}
+
+double frame_ms(const FrameRecord& frame) {
+  return static_cast<double>(frame.end_ns - frame.begin_ns) * 1e-6;
+}
+
+/// Where each algorithm stands in the config; algorithms it does not name come last.
+class AlgorithmOrder {
+ public:
+  explicit AlgorithmOrder(const nlohmann::json& config) {
+    if (!config.is_object() || !config.contains("algorithms")) return;
+    for (const auto& name : config["algorithms"])
+      if (name.is_string()) place_.emplace(name.get<std::string>(), place_.size());
+  }
+  std::pair<std::size_t, std::string> key(const std::string& algorithm) const {
+    const auto found = place_.find(algorithm);
+    return {found == place_.end() ? place_.size() : found->second, algorithm};
+  }
+
+ private:
+  std::map<std::string, std::size_t> place_;
+};
+
+/// The frames of a cell while they are gathered.
+struct CellFrames {
+  std::vector<std::size_t> timed;
+  std::vector<std::size_t> counted;
+};
+
+using TrialById = std::unordered_map<int64_t, const Trial*>;
+
+TrialById index_trials(const RunRecord& run) {
+  TrialById trials;
+  for (const Trial& trial : run.trials) trials.emplace(trial.id, &trial);
+  return trials;
+}
+
+using CellKey = std::tuple<std::string, int64_t, std::pair<std::size_t, std::string>>;
+
+std::map<CellKey, CellFrames> gather_frames(const RunRecord& run, const TrialById& trials,
+                                            const AlgorithmOrder& order,
+                                            std::vector<std::string>& warnings) {
+  std::map<CellKey, CellFrames> cells;
+  std::size_t orphan_count = 0;
+  std::size_t backward_count = 0;
+  for (std::size_t i = 0; i < run.frames.size(); ++i) {
+    const FrameRecord& frame = run.frames[i];
+    const auto trial = trials.find(frame.trial_id);
+    if (trial == trials.end()) {
+      ++orphan_count;
+      continue;
+    }
+    const Trial& owner = *trial->second;
+    if (!owner.skip_reason.empty() || frame.phase == Phase::warmup) continue;
+    CellFrames& cell = cells[{owner.model, owner.view, order.key(owner.algorithm)}];
+    if (frame.phase == Phase::counted) {
+      cell.counted.push_back(i);
+    } else if (frame.end_ns > frame.begin_ns) {
+      cell.timed.push_back(i);
+    } else {
+      ++backward_count;
+    }
+  }
+  if (orphan_count > 0)
+    warnings.push_back(fmt::format("{} belong to no recorded trial and are left out.",
+                                   counted(orphan_count, "frame")));
+  if (backward_count > 0)
+    warnings.push_back(fmt::format("{} end no later than they begin and are left out.",
+                                   counted(backward_count, "timed frame")));
+  return cells;
+}
+
+std::optional<double> median_of(const std::vector<double>& values) {
+  if (values.empty()) return std::nullopt;
+  return median(values);
+}
+
+void add_ray_numbers(const RunRecord& run, const CellFrames& frames, Cell& cell) {
+  std::vector<double> rays, mrays_per_s, clock_error_us;
+  double hit_rays = 0;
+  double hits = 0;
+  for (std::size_t i : frames.timed) {
+    const FrameRecord& frame = run.frames[i];
+    if (frame.clock_error_ns)
+      clock_error_us.push_back(static_cast<double>(*frame.clock_error_ns) * 1e-3);
+    if (!frame.ray_count) continue;
+    const auto ray_count = static_cast<double>(*frame.ray_count);
+    rays.push_back(ray_count);
+    mrays_per_s.push_back(ray_count / frame_ms(frame) * 1e-3);
+    if (!frame.hit_count) continue;
+    hit_rays += ray_count;
+    hits += static_cast<double>(*frame.hit_count);
+  }
+  if (!rays.empty()) cell.rays_per_frame = mean(rays);
+  cell.mrays_per_s = median_of(mrays_per_s);
+  cell.clock_error_us = median_of(clock_error_us);
+  if (hit_rays > 0) cell.hit_ratio = hits / hit_rays;
+}
+
+std::optional<double> per_ray(const RunRecord& run, const std::vector<std::size_t>& counted_frames,
+                              std::optional<int64_t> FrameRecord::*count) {
+  double total = 0;
+  double rays = 0;
+  for (std::size_t i : counted_frames) {
+    const FrameRecord& frame = run.frames[i];
+    if (!frame.ray_count || !(frame.*count)) continue;
+    total += static_cast<double>(*(frame.*count));
+    rays += static_cast<double>(*frame.ray_count);
+  }
+  if (rays == 0) return std::nullopt;
+  return total / rays;
+}
+
+std::optional<double> score_of(std::span<const double> times_ms, const ScoreConfig& config) {
+  const auto deviation = stddev(times_ms);
+  if (!deviation) return std::nullopt;
+  return config.weight_mean * truncated_mean(times_ms, config.truncate) +
+         config.weight_stddev * *deviation;
+}
+
+Cell make_cell(const RunRecord& run, const CellKey& key, const CellFrames& frames,
+               const ScoreConfig& score) {
+  Cell cell;
+  cell.model = std::get<0>(key);
+  cell.view = std::get<1>(key);
+  cell.algorithm = std::get<2>(key).second;
+  for (std::size_t i : frames.timed) cell.frame_ms.push_back(frame_ms(run.frames[i]));
+  cell.frame_index = frames.timed;
+  cell.median_ms = median(cell.frame_ms);
+  cell.median_interval_ms = median_interval(cell.frame_ms);
+  cell.baseline_ms = quantile(cell.frame_ms, 0.25);
+  cell.truncated_mean_ms = truncated_mean(cell.frame_ms, score.truncate);
+  cell.stddev_ms = stddev(cell.frame_ms);
+  cell.score_ms = score_of(cell.frame_ms, score);
+  add_ray_numbers(run, frames, cell);
+  cell.node_visits_per_ray = per_ray(run, frames.counted, &FrameRecord::node_visit_count);
+  cell.box_tests_per_ray = per_ray(run, frames.counted, &FrameRecord::box_test_count);
+  cell.prim_tests_per_ray = per_ray(run, frames.counted, &FrameRecord::prim_test_count);
+  return cell;
+}
+
+std::vector<Outlier> find_outliers(const RunRecord& run, std::vector<Cell>& cells) {
+  std::vector<Outlier> outliers;
+  for (std::size_t c = 0; c < cells.size(); ++c) {
+    Cell& cell = cells[c];
+    for (std::size_t i = 0; i < cell.frame_ms.size(); ++i) {
+      if (cell.frame_ms[i] <= outlier_ratio * cell.baseline_ms) continue;
+      const std::size_t index = cell.frame_index[i];
+      outliers.push_back({c, index, run.frames[index].id, cell.frame_ms[i],
+                          cell.frame_ms[i] / cell.baseline_ms, cell.frame_ms[i] - cell.baseline_ms});
+      ++cell.outlier_count;
+    }
+  }
+  std::sort(outliers.begin(), outliers.end(), [&](const Outlier& a, const Outlier& b) {
+    return run.frames[a.frame_index].begin_ns < run.frames[b.frame_index].begin_ns;
+  });
+  return outliers;
+}
+
+/// Compares the hits of one model and view frame by frame, over all algorithms.
+struct Agreement {
+  std::set<std::string> algorithms;  // with checksums
+  std::map<int64_t, std::map<std::string, std::set<std::string>>> found;  // frame, checksum: by whom
+};
+
+std::string describe_disagreement(const Place& place, const Agreement& agreement,
+                                  std::size_t different_count) {
+  const auto differs = [](const auto& entry) { return entry.second.size() > 1; };
+  const auto first = std::find_if(agreement.found.begin(), agreement.found.end(), differs);
+  std::vector<std::string> camps;
+  for (const auto& [checksum, algorithms] : first->second)
+    camps.push_back(fmt::format("{} found {}", fmt::join(algorithms, ", "), checksum));
+  return fmt::format(
+      "{}: the hit checksums of {} of {} differ, so at least one algorithm traced wrongly. Frame {}: {}.",
+      place_name(place), different_count, counted(agreement.found.size(), "frame"), first->first,
+      fmt::join(camps, "; "));
+}
+
+void compare_checksums(const RunRecord& run, const TrialById& trials, std::vector<Cell>& cells,
+                       std::vector<std::string>& warnings) {
+  std::map<Place, Agreement> places;
+  for (const FrameRecord& frame : run.frames) {
+    const auto trial = trials.find(frame.trial_id);
+    if (trial == trials.end() || frame.hit_checksum.empty()) continue;
+    Agreement& agreement = places[{trial->second->model, trial->second->view}];
+    agreement.algorithms.insert(trial->second->algorithm);
+    agreement.found[frame.frame][frame.hit_checksum].insert(trial->second->algorithm);
+  }
+  for (const auto& [place, agreement] : places) {
+    const auto different_count = static_cast<std::size_t>(
+        std::count_if(agreement.found.begin(), agreement.found.end(),
+                      [](const auto& entry) { return entry.second.size() > 1; }));
+    if (different_count > 0)
+      warnings.push_back(describe_disagreement(place, agreement, different_count));
+    if (agreement.algorithms.size() < 2 && different_count == 0) continue;
+    for (Cell& cell : cells)
+      if (Place(cell.model, cell.view) == place) cell.checksums_agree = different_count == 0;
+  }
+}
+
+/// The cells of one algorithm that can be scored, by model and view.
+using Scored = std::map<std::string, std::map<Place, const Cell*>>;
+
+Scored scored_cells(const std::vector<Cell>& cells, std::vector<std::string>& warnings) {
+  Scored scored;
+  for (const Cell& cell : cells) {
+    if (cell.score_ms) {
+      scored[cell.algorithm][{cell.model, cell.view}] = &cell;
+    } else {
+      warnings.push_back(
+          fmt::format("{}, {}: one timed frame has no standard deviation and so no score.",
+                      place_name({cell.model, cell.view}), cell.algorithm));
+    }
+  }
+  return scored;
+}
+
+/// The places that every algorithm has; the others are named in a warning.
+std::vector<Place> common_places(const Scored& scored, std::vector<std::string>& warnings) {
+  std::map<Place, std::vector<std::string>> present;
+  for (const auto& [algorithm, places] : scored)
+    for (const auto& [place, cell] : places) present[place].push_back(algorithm);
+  std::vector<Place> common;
+  std::vector<std::string> left_out;
+  for (const auto& [place, algorithms] : present) {
+    if (algorithms.size() == scored.size()) {
+      common.push_back(place);
+    } else {
+      left_out.push_back(
+          fmt::format("{} (only {})", place_name(place), fmt::join(algorithms, ", ")));
+    }
+  }
+  if (!left_out.empty())
+    warnings.push_back(
+        fmt::format("The ranking leaves out what not every algorithm has been timed on: {}.",
+                    fmt::join(left_out, "; ")));
+  if (common.empty() && !scored.empty())
+    warnings.push_back("There is no ranking: no model and view was timed with every algorithm.");
+  return common;
+}
+
+RankingRow ranking_row(const std::string& algorithm, const std::map<Place, const Cell*>& cells,
+                       const std::vector<Place>& common) {
+  RankingRow row;
+  row.algorithm = algorithm;
+  row.cell_count = static_cast<int64_t>(common.size());
+  const auto count = static_cast<double>(common.size());
+  for (const Place& place : common) {
+    const Cell& cell = *cells.at(place);
+    row.score_ms += *cell.score_ms / count;
+    row.truncated_mean_ms += cell.truncated_mean_ms / count;
+    row.stddev_ms += *cell.stddev_ms / count;
+  }
+  return row;
+}
+
+/// `replicate_count` bootstrap scores of one algorithm.
+std::vector<double> replicate_scores(const std::map<Place, const Cell*>& cells,
+                                     const std::vector<Place>& common, const ScoreConfig& config,
+                                     std::mt19937_64& random) {
+  std::vector<double> scores(replicate_count, 0.0);
+  std::vector<double> resample;
+  for (const Place& place : common) {
+    const std::vector<double>& times_ms = cells.at(place)->frame_ms;
+    resample.resize(times_ms.size());
+    for (double& score : scores) {
+      resample_blocks(times_ms, random, resample);
+      score += *score_of(resample, config) / static_cast<double>(common.size());
+    }
+  }
+  return scores;
+}
+
+/// Scores divided by those of the best, replicate by replicate.
+std::vector<double> quotients(const std::vector<double>& scores, const std::vector<double>& best) {
+  std::vector<double> result;
+  for (std::size_t i = 0; i < scores.size(); ++i)
+    if (best[i] > 0) result.push_back(scores[i] / best[i]);
+  return result;
+}
+
+std::vector<RankingRow> rank(const std::vector<Cell>& cells, const ScoreConfig& config,
+                             std::vector<std::string>& warnings) {
+  const Scored scored = scored_cells(cells, warnings);
+  const std::vector<Place> common = common_places(scored, warnings);
+  if (common.empty()) return {};
+
+  std::mt19937_64 random(bootstrap_seed);
+  std::map<std::string, std::vector<double>> replicates;
+  std::vector<RankingRow> rows;
+  for (const auto& [algorithm, places] : scored) {
+    rows.push_back(ranking_row(algorithm, places, common));
+    replicates[algorithm] = replicate_scores(places, common, config, random);
+  }
+  std::stable_sort(rows.begin(), rows.end(), [](const RankingRow& a, const RankingRow& b) {
+    return a.score_ms < b.score_ms;
+  });
+  const RankingRow best = rows.front();
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    RankingRow& row = rows[i];
+    row.rank = static_cast<int64_t>(i) + 1;
+    row.score_interval_ms = percentile_interval(replicates[row.algorithm]);
+    if (best.score_ms > 0) row.normalized = row.score_ms / best.score_ms;
+    const auto ratios = quotients(replicates[row.algorithm], replicates[best.algorithm]);
+    row.normalized_interval =
+        ratios.empty() ? Interval{row.normalized, row.normalized} : percentile_interval(ratios);
+  }
+  return rows;
+}
+
+void warn_about_trials(const RunRecord& run, const std::vector<Cell>& cells,
+                       std::vector<std::string>& warnings) {
+  std::set<std::string> unranked;
+  std::size_t unfinished_count = 0;
+  for (const Trial& trial : run.trials) {
+    if (!trial.end_ns) ++unfinished_count;
+    if (!trial.algorithm.empty()) unranked.insert(trial.algorithm);
+    if (!trial.skip_reason.empty())
+      warnings.push_back(fmt::format("Skipped: {}, {}, repetition {}: {}",
+                                     place_name({trial.model, trial.view}), trial.algorithm,
+                                     trial.repetition, trial.skip_reason));
+  }
+  for (const Cell& cell : cells) unranked.erase(cell.algorithm);
+  if (!unranked.empty())
+    warnings.push_back(fmt::format("Without any usable timed frame: {}.", fmt::join(unranked, ", ")));
+  if (unfinished_count > 0)
+    warnings.push_back(fmt::format("{} without an end: the run stopped inside. Frames recorded until "
+                                   "then are used.",
+                                   counted(unfinished_count, "trial")));
+}
+
+std::vector<Build> list_builds(const RunRecord& run) {
+  std::vector<Build> builds;
+  std::set<std::pair<std::string, std::string>> seen;
+  for (const Trial& trial : run.trials) {
+    if (!trial.build_ns && !trial.blob_bytes) continue;
+    if (!seen.emplace(trial.model, trial.algorithm).second) continue;
+    Build build{trial.model,          trial.algorithm,  std::nullopt,     trial.blob_bytes,
+                trial.triangle_count, trial.node_count, trial.leaf_count, trial.max_depth,
+                trial.sah_cost};
+    if (trial.build_ns) build.build_ms = static_cast<double>(*trial.build_ns) * 1e-6;
+    builds.push_back(build);
+  }
+  std::sort(builds.begin(), builds.end(), [](const Build& a, const Build& b) {
+    return std::tie(a.model, a.algorithm) < std::tie(b.model, b.algorithm);
+  });
+  return builds;
+}
+
+std::string sensor_status(const SensorSummary& sensor, bool went_away) {
+  if (sensor.sample_count == 0) return "no samples";
+  if (went_away) return "went away";
+  return sensor.update_count == 0 ? "constant" : "ok";
+}
+
+SensorSummary summarize(const Channel& channel, const SampleSeries* series, bool went_away,
+                        std::vector<std::string>& warnings) {
+  SensorSummary sensor;
+  sensor.channel = channel;
+  sensor.unit = stored_unit(channel);
+  if (series && !series->value.empty()) {
+    const Cadence pace = cadence(*series);
+    const auto [low, high] = std::minmax_element(series->value.begin(), series->value.end());
+    sensor.sample_count = static_cast<int64_t>(series->value.size());
+    sensor.update_count = static_cast<int64_t>(pace.update_count);
+    sensor.poll_ns = pace.poll_ns;
+    sensor.update_ns = pace.update_ns;
+    sensor.min = *low;
+    sensor.median = median(series->value);
+    sensor.max = *high;
+  }
+  if (channel.kind == Kind::cumulative && sensor.sample_count > 1) {
+    const Unwrapped total = unwrap(series->value, channel.wrap_at);
+    sensor.increase = total.value.back();
+    if (total.reset_count > 0)
+      warnings.push_back(fmt::format("{} fell {} without a wrap: it was reset; the falls count as nothing.",
+                                     channel.name, counted(total.reset_count, "time")));
+  }
+  sensor.status = sensor_status(sensor, went_away);
+  const bool should_move =
+      channel.quantity == Quantity::energy || channel.quantity == Quantity::power;
+  if (should_move && sensor.status == "constant" && sensor.sample_count > 1)
+    warnings.push_back(fmt::format("{} never changed in {}: it says nothing about this run.",
+                                   channel.name,
+                                   counted(static_cast<std::size_t>(sensor.sample_count), "sample")));
+  return sensor;
+}
+
+std::vector<SensorSummary> summarize_sensors(const RunRecord& run,
+                                             std::vector<std::string>& warnings) {
+  std::set<int32_t> gone;
+  for (const Event& event : run.events)
+    if (event.kind == "sensor-gone" && event.channel_id) gone.insert(*event.channel_id);
+  std::vector<SensorSummary> sensors;
+  for (const Channel& channel : run.channels) {
+    const auto series = run.series.find(channel.id);
+    sensors.push_back(summarize(channel, series == run.series.end() ? nullptr : &series->second,
+                                gone.contains(channel.id), warnings));
+  }
+  return sensors;
+}
+
+std::vector<EnergyRow> energy_rows(const Analysis& analysis, std::vector<std::string>& warnings) {
+  const bool recorded = std::any_of(
+      analysis.sensors.begin(), analysis.sensors.end(), [](const SensorSummary& sensor) {
+        return sensor.channel.quantity == Quantity::energy && sensor.sample_count > 0;
+      });
+  const std::string refused = recorded ? "energy per frame is not computed by this version"
+                                       : "no energy channel was recorded";
+  std::vector<EnergyRow> rows;
+  for (const Cell& cell : analysis.cells) {
+    const auto same = std::find_if(rows.begin(), rows.end(), [&](const EnergyRow& row) {
+      return row.algorithm == cell.algorithm && row.model == cell.model;
+    });
+    EnergyRow& row = same != rows.end() ? *same
+                                        : rows.emplace_back(EnergyRow{cell.algorithm, cell.model, 0, refused});
+    row.frame_count += static_cast<int64_t>(cell.frame_ms.size());
+  }
+  warnings.push_back(
+      "This version computes no energy per frame, no causes of outliers and no correlations: those "
+      "fields are empty, which does not mean that nothing was there.");
+  return rows;
+}
+
+void warn_about_sampler(const SamplerCost& cost, std::vector<std::string>& warnings) {
+  if (!cost.tick_count || !cost.missed_tick_count || *cost.tick_count <= 0) return;
+  const double missed_ratio =
+      static_cast<double>(*cost.missed_tick_count) / static_cast<double>(*cost.tick_count);
+  if (missed_ratio > 0.01)
+    warnings.push_back(fmt::format("The sampler missed {:.1f} % of its ticks: short events may be lost. "
+                                   "A lower rate or fewer sensors would help.",
+                                   100 * missed_ratio));
+}
+
+std::string headline(const Analysis& analysis) {
+  if (analysis.ranking.empty()) {
+    if (!analysis.cells.empty()) return "Frames were timed, but nothing can be ranked.";
+    const auto with_samples = std::count_if(
+        analysis.sensors.begin(), analysis.sensors.end(),
+        [](const SensorSummary& sensor) { return sensor.sample_count > 0; });
+    return fmt::format("No timed frame was recorded; {} delivered samples.",
+                       counted(static_cast<std::size_t>(with_samples), "sensor channel"));
+  }
+  const RankingRow& best = analysis.ranking.front();
+  const std::string score = scaled(best.score_ms * 1e-3, "s");
+  if (analysis.ranking.size() == 1)
+    return fmt::format("{} scores {}; there is nothing to compare it with.", best.algorithm, score);
+  const RankingRow& next = analysis.ranking[1];
+  const std::string factor =
+      fmt::format("{:.2f} times its score (95 %: {:.2f} to {:.2f})", next.normalized,
+                  next.normalized_interval.low, next.normalized_interval.high);
+  if (next.normalized_interval.low <= 1)
+    return fmt::format("{} leads with a score of {}, but not beyond doubt: {} follows at {}.",
+                       best.algorithm, score, next.algorithm, factor);
+  return fmt::format("{} is best with a score of {}; {} follows at {}.", best.algorithm, score,
+                     next.algorithm, factor);
+}
+
+}  // namespace
+
+Analysis analyze(const RunRecord& run) {
+  Analysis analysis;
+  std::vector<std::string>& warnings = analysis.warnings;
+  analysis.run = read_facts(run, warnings);
+  analysis.flags = read_flags(analysis.run);
+  analysis.score = read_score_config(analysis.run, warnings);
+  analysis.missing_sensors = read_missing_sensors(run, warnings);
+  analysis.device_refusals = read_device_refusals(run, warnings);
+  analysis.sampler = read_sampler_cost(run, analysis.run, warnings);
+  analysis.events = run.events;
+
+  const TrialById trials = index_trials(run);
+  const auto frames = gather_frames(run, trials, AlgorithmOrder(analysis.run.config), warnings);
+  for (const auto& [key, cell_frames] : frames)
+    if (!cell_frames.timed.empty())
+      analysis.cells.push_back(make_cell(run, key, cell_frames, analysis.score));
+  warn_about_trials(run, analysis.cells, warnings);
+  compare_checksums(run, trials, analysis.cells, warnings);
+  analysis.outliers = find_outliers(run, analysis.cells);
+  analysis.ranking = rank(analysis.cells, analysis.score, warnings);
+  analysis.builds = list_builds(run);
+  analysis.sensors = summarize_sensors(run, warnings);
+  warn_about_sampler(analysis.sampler, warnings);
+  analysis.energy = energy_rows(analysis, warnings);
+  analysis.headline = headline(analysis);
+  return analysis;
+}
+
+}  // namespace energyprof::analysis

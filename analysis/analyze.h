@@ -1,0 +1,191 @@
+/// A recorded run -> its numbers. Pure: opens no device, no file, no clock.
+#pragma once
+
+#include <cstdint>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "analysis/stats.h"
+#include "core/record.h"
+
+namespace energyprof::analysis {
+
+/// How a run came to its end.
+enum class Ending : uint8_t {
+  complete,
+  interrupted,  ///< the user stopped it; it was closed properly
+  unfinished,   ///< no end is recorded: it was killed, or written by a tool that records none
+};
+std::string_view to_string(Ending ending);
+
+/// Something a reader must know before the first number.
+struct Flag {
+  std::string label;  ///< one or two words in capitals: "SIMULATED"
+  std::string text;   ///< what it means for the numbers
+};
+
+/// What the run was.
+struct RunFacts {
+  std::optional<std::string> name;
+  std::optional<std::string> question;     ///< what the experiment is meant to answer
+  std::optional<std::string> verdict;      ///< the recorder's, on what can be sensed
+  std::optional<std::string> begin_utc;    ///< ISO 8601
+  std::optional<std::string> end_utc;      ///< ISO 8601
+  std::optional<std::string> code_version;
+  std::optional<std::string> build_type;
+  std::optional<std::string> driver;
+  std::optional<std::string> clock_method;  ///< how GPU ticks became host time
+  std::optional<std::string> quick_note;
+  std::optional<int64_t> schema_version;
+  int64_t begin_ns = 0;  ///< meta begin_ns, else the smallest time recorded
+  int64_t end_ns = 0;    ///< meta end_ns, else the largest time recorded
+  Ending ending = Ending::complete;
+  bool simulated = false;
+  bool quick = false;
+  nlohmann::json config;  ///< null when unknown, as the next two
+  nlohmann::json host;
+  nlohmann::json device;
+};
+
+/// The weights of the score, from the config's "analysis" block.
+struct ScoreConfig {
+  double truncate = 0.10;      ///< share of frames left out of the mean, half at each end
+  double weight_mean = 0.5;    ///< of the truncated mean
+  double weight_stddev = 0.5;  ///< of the standard deviation
+};
+
+/// The timed frames of one algorithm on one model from one view, all repetitions together.
+struct Cell {
+  std::string model;
+  int64_t view = 0;
+  std::string algorithm;
+  std::vector<double> frame_ms;      ///< in time order
+  std::vector<std::size_t> frame_index;  ///< of frame_ms, into RunRecord::frames
+  double median_ms = 0;
+  std::optional<Interval> median_interval_ms;  ///< 95 %; absent below 6 frames
+  double baseline_ms = 0;                      ///< lower quartile: the fast regime
+  double truncated_mean_ms = 0;
+  std::optional<double> stddev_ms;
+  std::optional<double> score_ms;  ///< weighted sum of the two; absent for a single frame
+  int64_t outlier_count = 0;
+  std::optional<double> rays_per_frame;  ///< mean
+  std::optional<double> mrays_per_s;     ///< median over frames of rays / frame time
+  std::optional<double> hit_ratio;
+  std::optional<double> clock_error_us;  ///< median: frames are placed in host time within +- this
+  std::optional<double> node_visits_per_ray;  ///< from counted frames
+  std::optional<double> box_tests_per_ray;    ///< from counted frames
+  std::optional<double> prim_tests_per_ray;   ///< from counted frames
+  /// Whether every algorithm found the same hits on this model and view; absent unless two can be
+  /// compared.
+  std::optional<bool> checksums_agree;
+};
+
+/// One line of the ranking: the best has normalized 1 and rank 1.
+struct RankingRow {
+  std::string algorithm;
+  int64_t rank = 0;
+  double score_ms = 0;  ///< mean over cells of weight_mean * truncated mean + weight_stddev * stddev
+  Interval score_interval_ms;  ///< 95 %, bootstrap
+  double normalized = 1;       ///< score / score of the best
+  Interval normalized_interval;
+  double truncated_mean_ms = 0;  ///< mean over cells
+  double stddev_ms = 0;          ///< mean over cells
+  int64_t cell_count = 0;
+};
+
+/// A timed frame that took more than twice its cell's baseline.
+struct Outlier {
+  std::size_t cell = 0;         ///< index into Analysis::cells
+  std::size_t frame_index = 0;  ///< index into RunRecord::frames
+  int64_t frame_id = 0;
+  double frame_ms = 0;
+  double ratio = 0;      ///< frame time / baseline
+  double excess_ms = 0;  ///< frame time - baseline
+};
+
+/// How one structure was built, from the first trial that used it.
+struct Build {
+  std::string model;
+  std::string algorithm;
+  std::optional<double> build_ms;
+  std::optional<int64_t> blob_bytes, triangle_count, node_count, leaf_count, max_depth;
+  std::optional<double> sah_cost;
+};
+
+/// What one channel delivered.
+struct SensorSummary {
+  Channel channel;
+  std::string unit;          ///< of the values below, as stored
+  int64_t sample_count = 0;
+  int64_t update_count = 0;  ///< samples that differ from the one before
+  std::optional<int64_t> poll_ns;    ///< median time between samples
+  std::optional<int64_t> update_ns;  ///< median time between changes
+  std::optional<double> min, median, max;  ///< of the values as read
+  std::optional<double> increase;          ///< cumulative channels: over the run, wraps undone
+  std::string status;  ///< "ok", "constant", "no samples", "went away"
+};
+
+/// A sensor that could not be read, and what would change that.
+struct MissingSensor {
+  std::string source;
+  std::string reason;
+  std::string fix;  ///< may be empty
+};
+
+/// A device that could not be used.
+struct DeviceRefusal {
+  std::string name;
+  std::string reason;
+};
+
+/// Joules of an algorithm on a model, or why there are none.
+struct EnergyRow {
+  std::string algorithm;
+  std::string model;
+  int64_t frame_count = 0;
+  std::string refused;
+};
+
+/// What sampling itself cost; each absent if the recorder did not say.
+struct SamplerCost {
+  std::optional<int64_t> cpu_ns;
+  std::optional<double> core_ratio;  ///< CPU time / duration of the run: share of one core
+  std::optional<int64_t> tick_count;
+  std::optional<int64_t> missed_tick_count;
+  std::optional<int64_t> lateness_p99_ns;
+};
+
+/// Everything the reports say.
+struct Analysis {
+  RunFacts run;
+  std::vector<Flag> flags;
+  std::string headline;  ///< the result in one sentence
+  ScoreConfig score;
+  std::vector<RankingRow> ranking;  ///< best first; empty when nothing can be compared
+  std::vector<Cell> cells;          ///< by model, view, then algorithm in the config's order
+  std::vector<Outlier> outliers;    ///< by time
+  std::vector<Build> builds;
+  std::vector<SensorSummary> sensors;
+  std::vector<MissingSensor> missing_sensors;
+  std::vector<DeviceRefusal> device_refusals;
+  std::vector<EnergyRow> energy;
+  SamplerCost sampler;
+  std::vector<Event> events;
+  std::vector<std::string> warnings;
+};
+
+/// Analyses any run: also one without frames or samples, cut short, or written by another tool.
+/// What is missing or odd becomes a warning, never an exception.
+///
+/// - Frames of trials with a skip_reason are in no cell; each such trial is a warning.
+/// - A timed frame is an outlier when it takes more than twice the lower quartile of its cell. The
+///   quartile, not the median: with more than half of the frames slowed the median is a slow frame.
+/// - The score is that of the paper this project follows: per model and view, weight_mean * truncated
+///   mean + weight_stddev * standard deviation of the frame times; averaged over the cells that every
+///   ranked algorithm has; divided by the best. Best value 1. Its interval is a seeded block bootstrap
+///   of the frames within each cell, 1000 replicates.
+Analysis analyze(const RunRecord& run);
+
+}  // namespace energyprof::analysis

@@ -1,0 +1,217 @@
+#include "analysis/report_json.h"
+
+#include <utility>
+
+#include "core/run_db.h"
+
+namespace energyprof::analysis {
+namespace {
+
+using nlohmann::json;
+
+template <class T>
+json or_null(const std::optional<T>& value) {
+  return value ? json(*value) : json(nullptr);
+}
+
+json text_or_null(const std::string& text) { return text.empty() ? json(nullptr) : json(text); }
+
+json estimate(std::optional<double> value, const std::optional<Interval>& interval) {
+  return {{"value", or_null(value)},
+          {"low", interval ? json(interval->low) : json(nullptr)},
+          {"high", interval ? json(interval->high) : json(nullptr)}};
+}
+
+json run_json(const RunRecord& run, const Analysis& analysis) {
+  const RunFacts& facts = analysis.run;
+  json flags = json::array();
+  for (const Flag& flag : analysis.flags) flags.push_back({{"label", flag.label}, {"text", flag.text}});
+  return {{"name", or_null(facts.name)},
+          {"question", or_null(facts.question)},
+          {"headline", analysis.headline},
+          {"verdict", or_null(facts.verdict)},
+          {"begin_utc", or_null(facts.begin_utc)},
+          {"end_utc", or_null(facts.end_utc)},
+          {"begin_ns", facts.begin_ns},
+          {"end_ns", facts.end_ns},
+          {"duration_s", static_cast<double>(facts.end_ns - facts.begin_ns) * 1e-9},
+          {"ending", to_string(facts.ending)},
+          {"simulated", facts.simulated},
+          {"quick", facts.quick},
+          {"quick_note", or_null(facts.quick_note)},
+          {"flags", std::move(flags)},
+          {"code_version", or_null(facts.code_version)},
+          {"build_type", or_null(facts.build_type)},
+          {"driver", or_null(facts.driver)},
+          {"clock_method", or_null(facts.clock_method)},
+          {"run_schema_version", or_null(facts.schema_version)},
+          {"trials", run.trials.size()},
+          {"frames", run.frames.size()},
+          {"host", facts.host},
+          {"config", facts.config}};
+}
+
+json sensor_json(const SensorSummary& sensor) {
+  const Channel& channel = sensor.channel;
+  return {{"name", channel.name},
+          {"source", channel.source},
+          {"quantity", to_string(channel.quantity)},
+          {"unit", sensor.unit},
+          {"kind", to_string(channel.kind)},
+          {"period_ns", channel.period_ns},
+          {"observed_period_ns", or_null(sensor.poll_ns)},
+          {"update_period_ns", or_null(sensor.update_ns)},
+          {"read_cost_ns", or_null(channel.read_cost_ns)},
+          {"samples", sensor.sample_count},
+          {"updates", sensor.update_count},
+          {"min", or_null(sensor.min)},
+          {"median", or_null(sensor.median)},
+          {"max", or_null(sensor.max)},
+          {"increase", or_null(sensor.increase)},
+          {"status", sensor.status},
+          {"origin", text_or_null(channel.origin)}};
+}
+
+json ranking_json(const RankingRow& row) {
+  return {{"algorithm", row.algorithm},
+          {"rank", row.rank},
+          {"score_ms", row.score_ms},
+          {"score_low_ms", row.score_interval_ms.low},
+          {"score_high_ms", row.score_interval_ms.high},
+          {"normalized", row.normalized},
+          {"normalized_low", row.normalized_interval.low},
+          {"normalized_high", row.normalized_interval.high},
+          {"truncated_mean_ms", row.truncated_mean_ms},
+          {"stddev_ms", row.stddev_ms},
+          {"cells", row.cell_count}};
+}
+
+json cell_json(const Cell& cell) {
+  const auto& interval = cell.median_interval_ms;
+  return {{"model", cell.model},
+          {"view", cell.view},
+          {"algorithm", cell.algorithm},
+          {"frames", cell.frame_ms.size()},
+          {"median_ms", cell.median_ms},
+          {"median_low_ms", interval ? json(interval->low) : json(nullptr)},
+          {"median_high_ms", interval ? json(interval->high) : json(nullptr)},
+          {"baseline_ms", cell.baseline_ms},
+          {"truncated_mean_ms", cell.truncated_mean_ms},
+          {"stddev_ms", or_null(cell.stddev_ms)},
+          {"score_ms", or_null(cell.score_ms)},
+          {"outlier_count", cell.outlier_count},
+          {"rays_per_frame", or_null(cell.rays_per_frame)},
+          {"mrays_per_s", or_null(cell.mrays_per_s)},
+          {"hit_ratio", or_null(cell.hit_ratio)},
+          {"checksums_agree", or_null(cell.checksums_agree)},
+          {"clock_error_us", or_null(cell.clock_error_us)},
+          {"node_visits_per_ray", or_null(cell.node_visits_per_ray)},
+          {"box_tests_per_ray", or_null(cell.box_tests_per_ray)},
+          {"prim_tests_per_ray", or_null(cell.prim_tests_per_ray)}};
+}
+
+json outlier_json(const RunRecord& run, const Analysis& analysis, const Outlier& outlier) {
+  const Cell& cell = analysis.cells[outlier.cell];
+  const FrameRecord& frame = run.frames[outlier.frame_index];
+  return {{"frame_id", outlier.frame_id},
+          {"trial_id", frame.trial_id},
+          {"frame", frame.frame},
+          {"begin_ns", frame.begin_ns},
+          {"model", cell.model},
+          {"view", cell.view},
+          {"algorithm", cell.algorithm},
+          {"frame_ms", outlier.frame_ms},
+          {"ratio", outlier.ratio},
+          {"excess_ms", outlier.excess_ms},
+          {"cause", "unexplained"},
+          {"confidence", nullptr},
+          {"evidence", json::array()}};
+}
+
+json build_json(const Build& build) {
+  return {{"model", build.model},
+          {"algorithm", build.algorithm},
+          {"build_ms", or_null(build.build_ms)},
+          {"blob_bytes", or_null(build.blob_bytes)},
+          {"triangle_count", or_null(build.triangle_count)},
+          {"node_count", or_null(build.node_count)},
+          {"leaf_count", or_null(build.leaf_count)},
+          {"max_depth", or_null(build.max_depth)},
+          {"sah_cost", or_null(build.sah_cost)}};
+}
+
+json energy_json(const EnergyRow& row) {
+  const json unknown = estimate(std::nullopt, std::nullopt);
+  return {{"algorithm", row.algorithm},
+          {"model", row.model},
+          {"frames", row.frame_count},
+          {"joules_per_frame", unknown},
+          {"nj_per_ray", unknown},
+          {"edp_js", nullptr},
+          {"idle_w", nullptr},
+          {"gross_joules_per_frame", unknown},
+          {"channel", nullptr},
+          {"refused", row.refused}};
+}
+
+json event_json(const Event& event, int64_t begin_ns) {
+  return {{"t_ns", event.t_ns},
+          {"t_s", static_cast<double>(event.t_ns - begin_ns) * 1e-9},
+          {"end_ns", or_null(event.end_ns)},
+          {"severity", to_string(event.severity)},
+          {"kind", event.kind},
+          {"channel_id", or_null(event.channel_id)},
+          {"text", event.text}};
+}
+
+json sampler_json(const SamplerCost& cost) {
+  return {{"cpu_ns", or_null(cost.cpu_ns)},
+          {"core_ratio", or_null(cost.core_ratio)},
+          {"ticks", or_null(cost.tick_count)},
+          {"missed_ticks", or_null(cost.missed_tick_count)},
+          {"lateness_p99_ns", or_null(cost.lateness_p99_ns)}};
+}
+
+/// One object per element, as `convert` makes it.
+template <class Range, class Convert>
+json list(const Range& range, Convert convert) {
+  json result = json::array();
+  for (const auto& element : range) result.push_back(convert(element));
+  return result;
+}
+
+}  // namespace
+
+json report_json(const RunRecord& run, const Analysis& analysis) {
+  json report;
+  report["schema_version"] = schema_version;
+  report["run"] = run_json(run, analysis);
+  report["device"] = analysis.run.device.is_object() ? analysis.run.device : json::object();
+  report["device_refusals"] = list(analysis.device_refusals, [](const DeviceRefusal& refusal) {
+    return json{{"name", refusal.name}, {"reason", refusal.reason}};
+  });
+  report["sensors"] = list(analysis.sensors, sensor_json);
+  report["missing_sensors"] = list(analysis.missing_sensors, [](const MissingSensor& missing) {
+    return json{{"source", missing.source}, {"reason", missing.reason}, {"fix", text_or_null(missing.fix)}};
+  });
+  report["sampler"] = sampler_json(analysis.sampler);
+  report["warnings"] = analysis.warnings;
+  report["score"] = {{"truncate", analysis.score.truncate},
+                     {"weight_mean", analysis.score.weight_mean},
+                     {"weight_stddev", analysis.score.weight_stddev}};
+  report["ranking"] = list(analysis.ranking, ranking_json);
+  report["cells"] = list(analysis.cells, cell_json);
+  report["builds"] = list(analysis.builds, build_json);
+  report["energy"] = list(analysis.energy, energy_json);
+  report["outliers"] = list(analysis.outliers, [&](const Outlier& outlier) {
+    return outlier_json(run, analysis, outlier);
+  });
+  report["correlations"] = json::array();
+  report["coincidence"] = nullptr;
+  report["factors"] = json::array();
+  report["events"] = list(
+      analysis.events, [&](const Event& event) { return event_json(event, analysis.run.begin_ns); });
+  return report;
+}
+
+}  // namespace energyprof::analysis

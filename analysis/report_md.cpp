@@ -1,0 +1,244 @@
+#include "analysis/report_md.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <iterator>
+#include <span>
+#include <utility>
+
+#include "analysis/format.h"
+#include "analysis/report_text.h"
+
+namespace energyprof::analysis {
+namespace {
+
+constexpr std::size_t list_length = 10;
+constexpr std::string_view unknown = "unknown";
+
+/// Text from outside as a piece of one Markdown line or table cell.
+std::string escaped(std::string_view text) {
+  std::string result;
+  for (char c : text) {
+    switch (c) {
+      case '<': result += "&lt;"; break;
+      case '>': result += "&gt;"; break;
+      case '&': result += "&amp;"; break;
+      case '\n':
+      case '\r': result += ' '; break;
+      case '|':
+      case '*':
+      case '`':
+      case '[':
+      case ']':
+      case '\\':
+        result += '\\';
+        result += c;
+        break;
+      default: result += c;
+    }
+  }
+  return result;
+}
+
+class Page {
+ public:
+  template <class... T>
+  void line(fmt::format_string<T...> format, T&&... args) {
+    fmt::format_to(std::back_inserter(text_), format, std::forward<T>(args)...);
+    text_ += '\n';
+  }
+  void heading(std::string_view title) { line("\n## {}\n", title); }
+  /// Columns whose title starts with '>' are aligned to the right.
+  void table(const std::vector<std::string_view>& titles) {
+    std::string rule = "|";
+    text_ += '|';
+    for (std::string_view title : titles) {
+      const bool right = title.front() == '>';
+      line_part(right ? title.substr(1) : title);
+      rule += right ? "---:|" : "---|";
+    }
+    line("\n{}", rule);
+  }
+  void row(const std::vector<std::string>& values) {
+    text_ += '|';
+    for (const std::string& value : values) line_part(value);
+    text_ += '\n';
+  }
+  std::string take() { return std::move(text_); }
+
+ private:
+  void line_part(std::string_view text) {
+    fmt::format_to(std::back_inserter(text_), " {} |", text);
+  }
+  std::string text_;
+};
+
+std::string ms(std::optional<double> value) {
+  return value ? fmt::format("{:.3f}", *value) : std::string("-");
+}
+
+std::string number(std::optional<double> value, int decimals) {
+  return value ? fmt::format("{:.{}f}", *value, decimals) : std::string("-");
+}
+
+std::string text(const std::optional<std::string>& value) {
+  return value ? escaped(*value) : std::string(unknown);
+}
+
+std::string member(const nlohmann::json& object, const char* key) {
+  const auto found = object.is_object() ? object.find(key) : object.end();
+  if (found == object.end() || found->is_null()) return std::string(unknown);
+  return escaped(found->is_string() ? found->get<std::string>() : found->dump());
+}
+
+void write_top(Page& page, const RunRecord& run, const Analysis& analysis) {
+  const RunFacts& facts = analysis.run;
+  page.line("# energyprof: {}\n", facts.name ? escaped(*facts.name) : "run without a name");
+  for (const Flag& flag : analysis.flags) page.line("> **{}** {}\n", flag.label, escaped(flag.text));
+  page.line("**{}**\n", escaped(analysis.headline));
+  if (facts.verdict) page.line("{}\n", escaped(*facts.verdict));
+  if (facts.question) page.line("Question: {}\n", escaped(*facts.question));
+  page.table({"", ""});
+  page.row({"device", member(facts.device, "name")});
+  page.row({"driver", text(facts.driver)});
+  page.row({"CPU", member(facts.host, "cpu")});
+  page.row({"kernel", member(facts.host, "kernel")});
+  page.row({"begin", text(facts.begin_utc)});
+  page.row({"duration", duration_text(facts.end_ns - facts.begin_ns)});
+  page.row({"recorded", fmt::format("{}, {}, {}", counted(run.trials.size(), "trial"),
+                                    counted(run.frames.size(), "frame"),
+                                    counted(run.channels.size(), "channel"))});
+  page.row({"code", fmt::format("{} ({})", text(facts.code_version), text(facts.build_type))});
+}
+
+void write_ranking(Page& page, const Analysis& analysis) {
+  page.heading("Ranking");
+  if (analysis.ranking.empty()) return page.line("Nothing to rank; the warnings say why.");
+  page.table({">rank", "algorithm", ">score \\[ms\\]", ">95 % \\[ms\\]", ">normalized", ">95 %",
+              ">truncated mean \\[ms\\]", ">stddev \\[ms\\]"});
+  for (const RankingRow& row : analysis.ranking)
+    page.row({fmt::format("{}", row.rank), escaped(row.algorithm), ms(row.score_ms),
+              fmt::format("{:.3f} to {:.3f}", row.score_interval_ms.low, row.score_interval_ms.high),
+              fmt::format("{:.3f}", row.normalized),
+              fmt::format("{:.3f} to {:.3f}", row.normalized_interval.low,
+                          row.normalized_interval.high),
+              ms(row.truncated_mean_ms), ms(row.stddev_ms)});
+  page.line("\n{} Cells: {}.", score_text(analysis), analysis.ranking.front().cell_count);
+}
+
+std::string agreement(const Cell& cell) {
+  if (!cell.checksums_agree) return "-";
+  return *cell.checksums_agree ? "agree" : "**differ**";
+}
+
+void write_cells(Page& page, const Analysis& analysis) {
+  if (analysis.cells.empty()) return;
+  page.heading("Frame times");
+  page.table({"model", ">view", "algorithm", ">frames", ">median \\[ms\\]", ">95 % \\[ms\\]",
+              ">truncated mean \\[ms\\]", ">stddev \\[ms\\]", ">outliers", ">Mrays/s", ">hits \\[%\\]",
+              "checksums"});
+  for (const Cell& cell : analysis.cells) {
+    const auto& interval = cell.median_interval_ms;
+    page.row({escaped(cell.model), fmt::format("{}", cell.view), escaped(cell.algorithm),
+              fmt::format("{}", cell.frame_ms.size()), ms(cell.median_ms),
+              interval ? fmt::format("{:.3f} to {:.3f}", interval->low, interval->high) : "-",
+              ms(cell.truncated_mean_ms), ms(cell.stddev_ms), fmt::format("{}", cell.outlier_count),
+              number(cell.mrays_per_s, 2),
+              cell.hit_ratio ? number(100 * *cell.hit_ratio, 1) : "-", agreement(cell)});
+  }
+}
+
+void write_more(Page& page, std::size_t total) {
+  if (total > list_length) page.line("\n{} more are in report.json.", total - list_length);
+}
+
+void write_outliers(Page& page, const RunRecord& run, const Analysis& analysis) {
+  page.heading("Outliers");
+  if (analysis.outliers.empty())
+    return page.line("No timed frame took more than twice the lower quartile of its cell.");
+  std::vector<Outlier> worst = analysis.outliers;
+  std::stable_sort(worst.begin(), worst.end(), [](const Outlier& a, const Outlier& b) {
+    return a.excess_ms > b.excess_ms;
+  });
+  page.line("{} took more than twice the lower quartile of their cell; the slowest first.\n",
+            counted(worst.size(), "timed frame"));
+  page.table({">frame", "model", ">view", "algorithm", ">time", ">ratio", ">excess", "cause"});
+  for (const Outlier& outlier : std::span(worst).first(std::min(worst.size(), list_length))) {
+    const Cell& cell = analysis.cells[outlier.cell];
+    page.row({fmt::format("{}", run.frames[outlier.frame_index].frame), escaped(cell.model),
+              fmt::format("{}", cell.view), escaped(cell.algorithm),
+              scaled(outlier.frame_ms * 1e-3, "s"), fmt::format("{:.1f}", outlier.ratio),
+              scaled(outlier.excess_ms * 1e-3, "s"), "unexplained"});
+  }
+  write_more(page, worst.size());
+}
+
+void write_energy(Page& page, const Analysis& analysis) {
+  if (analysis.energy.empty()) return;
+  page.heading("Energy");
+  page.table({"algorithm", "model", ">frames", "joules per frame"});
+  for (const EnergyRow& row : analysis.energy)
+    page.row({escaped(row.algorithm), escaped(row.model), fmt::format("{}", row.frame_count),
+              "refused: " + escaped(row.refused)});
+}
+
+void write_sensors(Page& page, const Analysis& analysis) {
+  page.heading("Sensors");
+  if (analysis.sensors.empty()) page.line("No sensor was recorded.");
+  if (!analysis.sensors.empty())
+    page.table({"channel", "quantity", "unit", ">samples", ">updates", ">polled every",
+                ">one read costs", "min / median / max", "status"});
+  for (const SensorSummary& sensor : analysis.sensors)
+    page.row({escaped(sensor.channel.name), std::string(to_string(sensor.channel.quantity)),
+              escaped(sensor.unit), fmt::format("{}", sensor.sample_count),
+              fmt::format("{}", sensor.update_count), duration_text(sensor.poll_ns),
+              duration_text(sensor.channel.read_cost_ns), escaped(values_text(sensor)), sensor.status});
+
+  page.heading("What could not be seen");
+  if (analysis.missing_sensors.empty()) page.line("The recorder lists no missing sensor.");
+  if (!analysis.missing_sensors.empty()) page.table({"source", "why", "what to do"});
+  for (const MissingSensor& missing : analysis.missing_sensors)
+    page.row({escaped(missing.source), escaped(missing.reason),
+              missing.fix.empty() ? "-" : escaped(missing.fix)});
+  if (!analysis.device_refusals.empty()) page.line("\nDevices that were not used:\n");
+  for (const DeviceRefusal& refusal : analysis.device_refusals)
+    page.line("- {}: {}", escaped(refusal.name), escaped(refusal.reason));
+}
+
+void write_cost(Page& page, const SamplerCost& cost) {
+  page.heading("Cost of measuring");
+  const auto lines = sampler_text(cost);
+  if (lines.empty()) page.line("Not recorded.");
+  for (const std::string& line : lines) page.line("- {}", line);
+}
+
+void write_notes(Page& page, const Analysis& analysis) {
+  page.heading("Warnings");
+  for (const std::string& warning : analysis.warnings) page.line("- {}", escaped(warning));
+  if (analysis.events.empty()) return;
+  page.heading("Events");
+  page.table({">time \\[s\\]", "severity", "kind", "text"});
+  const std::size_t shown = std::min(analysis.events.size(), list_length);
+  for (const Event& event : std::span(analysis.events).first(shown))
+    page.row({fmt::format("{:.3f}", static_cast<double>(event.t_ns - analysis.run.begin_ns) * 1e-9),
+              std::string(to_string(event.severity)), escaped(event.kind), escaped(event.text)});
+  write_more(page, analysis.events.size());
+}
+
+}  // namespace
+
+std::string report_md(const RunRecord& run, const Analysis& analysis) {
+  Page page;
+  write_top(page, run, analysis);
+  write_ranking(page, analysis);
+  write_cells(page, analysis);
+  write_outliers(page, run, analysis);
+  write_energy(page, analysis);
+  write_sensors(page, analysis);
+  write_cost(page, analysis.sampler);
+  write_notes(page, analysis);
+  return page.take();
+}
+
+}  // namespace energyprof::analysis

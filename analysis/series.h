@@ -1,0 +1,59 @@
+/// Sensor samples as curves: counters unwrapped, rates taken from them, long curves thinned.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "core/record.h"
+
+namespace energyprof::analysis {
+
+/// The unit of `channel` as stored, also when this version has no name for it.
+std::string stored_unit(const Channel& channel);
+
+/// A cumulative channel that only rises.
+struct Unwrapped {
+  std::vector<double> value;    ///< increase since the first sample, in the channel's unit
+  std::size_t reset_count = 0;  ///< falls that no wrap_at explains; each counts as no increase
+};
+
+/// Undoes the wraps of a counter that returns to 0 after `wrap_at`. Two wraps between two samples
+/// look like one.
+Unwrapped unwrap(const std::vector<double>& value, std::optional<int64_t> wrap_at);
+
+/// How the values of a series came.
+struct Cadence {
+  std::optional<int64_t> poll_ns;    ///< median time between two samples
+  std::optional<int64_t> update_ns;  ///< median time between two changes of the value
+  std::size_t update_count = 0;      ///< samples that differ from the one before
+};
+Cadence cadence(const SampleSeries& series);
+
+/// A curve to draw, in `unit`.
+struct Curve {
+  std::vector<int64_t> t_ns;
+  std::vector<double> value;
+  std::string unit;
+};
+
+/// The mean rate of a cumulative channel, in SI per second (watts for an energy counter), over
+/// consecutive windows; each value stands at the end of its window. A window spans at least 20 polls
+/// and 20 updates of the sensor (updates slower than 100 ms count as 100 ms), so that the two updates
+/// its ends may be off by are at most a tenth of it. nullopt when the series is too short for one.
+std::optional<Curve> rate(const Channel& channel, const SampleSeries& series);
+
+/// Which points to keep of a curve, in time order, so that at most `max_count` (at least 2) are left: of
+/// each of max_count / 2 equal stretches of time the lowest and the highest. All of a shorter curve.
+std::vector<std::size_t> thin_points(const std::vector<int64_t>& t_ns,
+                                     const std::vector<double>& value, std::size_t max_count);
+
+/// The curve through thin_points().
+Curve thin(const Curve& curve, std::size_t max_count);
+
+/// The points where the value changes and their last point: what a step curve needs.
+Curve changes_only(const Curve& curve);
+
+}  // namespace energyprof::analysis

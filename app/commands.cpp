@@ -1,0 +1,163 @@
+#include "app/commands.h"
+
+#include <fmt/format.h>
+
+#include <cstdio>
+#include <cstdlib>
+#include <ctime>
+#include <filesystem>
+
+#include "accel/models.h"
+#include "analysis/analyze.h"
+#include "analysis/write_reports.h"
+#include "app/config.h"
+#include "app/interrupt.h"
+#include "app/study.h"
+#include "app/usage_error.h"
+#include "core/run_db.h"
+
+namespace energyprof::app {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// runs/<name>-20260131-120000, with a number behind it if that is taken.
+fs::path default_run_dir(const std::string& name) {
+  const std::time_t now = std::time(nullptr);
+  std::tm local{};
+  localtime_r(&now, &local);
+  char stamp[32];
+  std::strftime(stamp, sizeof stamp, "%Y%m%d-%H%M%S", &local);
+  const fs::path base = fs::path("runs") / fmt::format("{}-{}", name, stamp);
+  fs::path dir = base;
+  for (int i = 2; fs::exists(dir); ++i) dir = base.string() + fmt::format("-{}", i);
+  return dir;
+}
+
+std::string milliseconds(const std::optional<double>& value) {
+  return value ? fmt::format("{:.3f}", *value) : "-";
+}
+
+/// The result in a few lines: what stdout is for.
+void print_summary(const analysis::Analysis& result) {
+  if (!result.cells.empty())
+    fmt::print("{:<24} {:>4}  {:<16} {:>6} {:>11} {:>22} {:>11} {:>9}\n", "model", "view",
+               "algorithm", "frames", "median ms", "95 % interval ms", "stddev ms", "Mrays/s");
+  for (const analysis::Cell& cell : result.cells) {
+    const std::string interval =
+        cell.median_interval_ms
+            ? fmt::format("{:.3f} to {:.3f}", cell.median_interval_ms->low,
+                          cell.median_interval_ms->high)
+            : "-";
+    fmt::print("{:<24} {:>4}  {:<16} {:>6} {:>11.3f} {:>22} {:>11} {:>9}\n", cell.model, cell.view,
+               cell.algorithm, cell.frame_ms.size(), cell.median_ms, interval,
+               milliseconds(cell.stddev_ms),
+               cell.mrays_per_s ? fmt::format("{:.2f}", *cell.mrays_per_s) : "-");
+  }
+  for (const analysis::RankingRow& row : result.ranking)
+    fmt::print("{}. {}: score {:.3f} ms (95 %: {:.3f} to {:.3f}), {:.3f} times the best\n", row.rank,
+               row.algorithm, row.score_ms, row.score_interval_ms.low, row.score_interval_ms.high,
+               row.normalized);
+  for (const analysis::Flag& flag : result.flags) fmt::print("{}: {}\n", flag.label, flag.text);
+}
+
+/// Reads the run back, as any later analysis would, and writes its reports.
+analysis::Analysis write_all_reports(const fs::path& dir, const fs::path& file) {
+  const RunRecord run = read_run(file);
+  analysis::Analysis result = analysis::analyze(run);
+  const std::vector<fs::path> written = analysis::write_reports(run, result, dir);
+  print_summary(result);
+  fmt::print("{}\n", file.string());
+  for (const fs::path& path : written) fmt::print("{}\n", path.string());
+  return result;
+}
+
+fs::path dir_of(const fs::path& run) {
+  if (fs::is_directory(run)) return run;
+  return run.has_parent_path() ? run.parent_path() : fs::path(".");
+}
+
+bool validation_wanted() {
+  const char* value = std::getenv("ENERGYPROF_VALIDATION");
+  return value != nullptr && std::string_view(value) == "1";
+}
+
+}  // namespace
+
+int run_command(const RunOptions& options) {
+  Config config = load_config(options.config, options.settings);
+  StudyOptions study;
+  study.quick = options.quick;
+  if (options.quick) study.quick_note = apply_quick(config);
+  study.out = options.out.empty() ? default_run_dir(config.name) : fs::path(options.out);
+  study.device = options.device;
+  study.root = options.root;
+  study.quiet = options.quiet;
+  study.validation = validation_wanted();
+
+  const InterruptGuard interrupts;
+  const StudyResult result = record_study(config, study);
+  write_all_reports(study.out, study.out / "run.sqlite");
+  const fs::path images = study.out / "images";
+  if (!fs::is_empty(images)) fmt::print("{}/\n", images.string());
+  if (result.interrupted) return exit_interrupted;
+  if (result.skipped_count == result.trial_count)
+    throw std::runtime_error(fmt::format("no trial could be traced: {}", result.first_skip_reason));
+  return 0;
+}
+
+int analyze_command(const std::string& run) {
+  write_all_reports(dir_of(run), run_file(run));
+  return 0;
+}
+
+int export_command(const ExportOptions& options) {
+  const RunRecord run = read_run(options.run);
+  const fs::path dir = dir_of(options.run);
+  if (options.format == "timeline") {
+    const fs::path file = options.out.empty() ? dir / "timeline.json" : fs::path(options.out);
+    analysis::TimelineConfig config;
+    config.full = options.full;
+    analysis::export_timeline(run, file, config);
+    fmt::print("{}\n", file.string());
+    return 0;
+  }
+  for (const fs::path& file :
+       analysis::export_csv(run, options.out.empty() ? dir : fs::path(options.out)))
+    fmt::print("{}\n", file.string());
+  return 0;
+}
+
+int list_models_command() {
+  fmt::print("{:<8} {:>9}  {:<10} {}\n", "name", "triangles", "here", "what and from where");
+  for (const accel::ModelInfo& model : accel::catalogue()) {
+    const char* here = model.file_name.empty() ? "generated"
+                       : accel::is_available(model) ? "yes"
+                                                    : "no";
+    fmt::print("{:<8} {:>9}  {:<10} {}\n", model.name, model.triangle_count, here, model.description);
+    fmt::print("{:<30} from {}\n{:<30} {}\n", "", model.source, "", model.license);
+    if (!model.digest.empty()) fmt::print("{:<30} sha256 {}\n", "", model.digest);
+  }
+  fmt::print("teapot:N is the teapot with N x N quads per patch; a path to .ply, .ply.gz or .obj "
+             "works in every place of a name.\n");
+  return 0;
+}
+
+int fetch_model_command(const std::string& name) {
+  const accel::ModelInfo* model = accel::find_model(name);
+  if (model == nullptr) {
+    std::string names;
+    for (const accel::ModelInfo& known : accel::catalogue())
+      names += (names.empty() ? "" : ", ") + std::string(known.name);
+    throw UsageError(fmt::format("models fetch: '{}' is not a model; expected {}", name, names));
+  }
+  accel::fetch_model(*model, [](std::string_view text) { fmt::print(stderr, "{}\n", text); });
+  const fs::path file = accel::model_file(*model);
+  if (file.empty())
+    fmt::print("{} is generated; there is nothing to fetch\n", name);
+  else
+    fmt::print("{}\n", file.string());
+  return 0;
+}
+
+}  // namespace energyprof::app

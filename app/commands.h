@@ -1,0 +1,44 @@
+/// The program's commands: each takes its options and returns the exit code.
+#pragma once
+
+#include <string>
+#include <vector>
+
+namespace energyprof::app {
+
+struct RunOptions {
+  std::string config;
+  std::string out;                ///< empty: runs/<name>-<time>
+  std::vector<std::string> settings;
+  std::string device = "auto";
+  std::string root = "/";
+  bool quick = false;
+  bool quiet = false;
+};
+
+struct ProbeOptions {
+  std::string root = "/";
+  bool json = false;
+};
+
+struct ExportOptions {
+  std::string run;
+  std::string format;
+  std::string out;  ///< empty: in the run directory
+  bool full = false;
+};
+
+/// `energyprof --config`: the study, its analysis, its reports.
+int run_command(const RunOptions& options);
+/// `energyprof probe`
+int probe_command(const ProbeOptions& options);
+/// `energyprof analyze`
+int analyze_command(const std::string& run);
+/// `energyprof export`
+int export_command(const ExportOptions& options);
+/// `energyprof models`
+int list_models_command();
+/// `energyprof models fetch`
+int fetch_model_command(const std::string& name);
+
+}  // namespace energyprof::app

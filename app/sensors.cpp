@@ -1,0 +1,121 @@
+#include "app/sensors.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+
+#include "app/usage_error.h"
+
+namespace energyprof::app {
+namespace {
+
+/// The config's sources as a selection; a name that is no source is the config's fault.
+probe::Selection selection_of(const Config& config) {
+  const std::vector<std::string> known = probe::source_names();
+  for (size_t i = 0; i < config.sources.size(); ++i)
+    if (std::find(known.begin(), known.end(), config.sources[i]) == known.end())
+      throw UsageError(fmt::format("{}: /sampler/sources/{}: '{}' is not a source; expected {}",
+                                   config.file, i, config.sources[i], fmt::join(known, ", ")));
+  return {config.sources};
+}
+
+/// Refuses to run without what the config requires.
+void check_required(const Config& config, const std::vector<Channel>& channels,
+                    const std::vector<probe::Missing>& missing) {
+  for (const std::string& quantity : config.required) {
+    const bool sensed = std::any_of(channels.begin(), channels.end(), [&](const Channel& channel) {
+      return to_string(channel.quantity) == quantity;
+    });
+    if (sensed) continue;
+    std::string why;
+    for (const probe::Missing& m : missing)
+      why += fmt::format("{}{}: {}", why.empty() ? "" : "; ", m.source, m.reason);
+    throw std::runtime_error(fmt::format(
+        "cannot run '{}': it requires {}, which cannot be sensed here ({}). See energyprof probe.",
+        config.file, quantity, why.empty() ? "no source offers it" : why));
+  }
+}
+
+}  // namespace
+
+Sensors::Sensors(const std::string& root, const Config& config)
+    : discovery_(probe::discover(probe::Root(root), selection_of(config))) {
+  probe::characterize(discovery_);
+  probe::Sampler::Config sampler_config;
+  sampler_config.rate_hz = config.sampler_rate_hz;
+  sampler_ = std::make_unique<probe::Sampler>(discovery_.sources, sampler_config);
+  channels_ = sampler_->channels();
+  check_required(config, channels_, discovery_.missing);
+}
+
+nlohmann::json Sensors::missing_json() const {
+  nlohmann::json missing = nlohmann::json::array();
+  for (const probe::Missing& m : discovery_.missing)
+    missing.push_back({{"source", m.source}, {"reason", m.reason}, {"fix", m.fix}});
+  return missing;
+}
+
+std::string Sensors::verdict() const { return probe::verdict(discovery_); }
+
+void Sensors::start() { sampler_->start(); }
+void Sensors::stop() { sampler_->stop(); }
+void Sensors::drain(std::vector<Sample>& out) { sampler_->drain(out); }
+
+std::vector<Event> Sensors::drain_events() {
+  std::vector<Event> events;
+  sampler_->drain_events(events);
+  return events;
+}
+
+std::optional<double> Sensors::latest_si(const Channel& channel) const {
+  const auto latest = sampler_->latest(channel.id);
+  if (!latest) return std::nullopt;
+  return static_cast<double>(latest->value) * unit_info(channel.unit).to_si;
+}
+
+std::optional<double> Sensors::hottest_c() const {
+  std::optional<double> hottest_c;
+  for (const Channel& channel : channels_)
+    if (channel.quantity == Quantity::temperature)
+      if (const auto value_c = latest_si(channel))
+        hottest_c = std::max(hottest_c.value_or(*value_c), *value_c);
+  return hottest_c;
+}
+
+std::string Sensors::live_values() const {
+  std::string text;
+  const auto show = [&](Quantity quantity, double factor, const char* unit) {
+    for (const Channel& channel : channels_) {
+      if (channel.quantity != quantity) continue;
+      const auto value = latest_si(channel);
+      if (!value) continue;
+      text += fmt::format("{}{:.0f} {}", text.empty() ? "" : "  ", *value * factor, unit);
+      return;
+    }
+  };
+  show(Quantity::frequency, 1e-6, "MHz");
+  show(Quantity::power, 1.0, "W");
+  if (const auto value_c = hottest_c())
+    text += fmt::format("{}{:.0f} C", text.empty() ? "" : "  ", *value_c);
+  return text;
+}
+
+std::vector<std::pair<std::string, std::string>> Sensors::cost_meta() const {
+  const probe::Sampler::Stats stats = sampler_->stats();
+  std::vector<std::pair<std::string, std::string>> meta{
+      {"sampler_cpu_ns", std::to_string(stats.cpu_ns)},
+      {"sampler_ticks", std::to_string(stats.tick_count)},
+      {"sampler_missed_ticks", std::to_string(stats.missed_tick_count)},
+      {"sampler_lost_samples", std::to_string(stats.lost_sample_count)},
+      {"sampler_scheduling", stats.scheduling}};
+  if (stats.lateness_p50_ns)
+    meta.emplace_back("sampler_lateness_p50_ns", std::to_string(*stats.lateness_p50_ns));
+  if (stats.lateness_p99_ns)
+    meta.emplace_back("sampler_lateness_p99_ns", std::to_string(*stats.lateness_p99_ns));
+  if (stats.lateness_max_ns)
+    meta.emplace_back("sampler_lateness_max_ns", std::to_string(*stats.lateness_max_ns));
+  return meta;
+}
+
+}  // namespace energyprof::app

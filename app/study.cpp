@@ -1,0 +1,443 @@
+#include "app/study.h"
+
+#include <fmt/format.h>
+#include <fmt/std.h>
+
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <fstream>
+#include <map>
+#include <memory>
+#include <optional>
+#include <set>
+#include <thread>
+
+#include "accel/validate.h"
+#include "app/algorithms.h"
+#include "app/host.h"
+#include "app/interrupt.h"
+#include "app/png.h"
+#include "app/progress.h"
+#include "app/scene.h"
+#include "app/sensors.h"
+#include "app/trial_order.h"
+#include "core/clock.h"
+#include "core/run_db.h"
+#include "core/trace_math.h"
+#include "kernels/device.h"
+#include "kernels/runner.h"
+
+namespace energyprof::app {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr double cooldown_band_c = 5.0;  // a trial begins within this of the run's first temperature
+constexpr int reference_frame_limit = 64;
+constexpr int64_t reference_time_limit_ns = 3 * ns_per_s;
+
+nlohmann::json to_json(const kernels::DeviceInfo& info) {
+  nlohmann::json j{{"name", info.name},
+                   {"type", info.type},
+                   {"driver", info.driver_name},
+                   {"driver_info", info.driver_info},
+                   {"api_version", info.api_version},
+                   {"vendor_id", info.vendor_id},
+                   {"device_id", info.device_id},
+                   {"uuid", info.uuid},
+                   {"max_storage_buffer_bytes", info.max_storage_buffer_bytes},
+                   {"subgroup_size", info.subgroup_size},
+                   {"timestamp_period_ns", info.timestamp_period_ns},
+                   {"timestamp_valid_bits", info.timestamp_valid_bits},
+                   {"calibrated_timestamps", info.calibrated_timestamps}};
+  j["pci_address"] = info.pci_address ? nlohmann::json(*info.pci_address) : nlohmann::json(nullptr);
+  return j;
+}
+
+/// Letters, digits, '.', '-' and '_' of `text`; the rest becomes '_'.
+std::string file_name_part(std::string_view text) {
+  std::string name;
+  for (const char c : text)
+    name += std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '.' || c == '-' ? c : '_';
+  return name;
+}
+
+double median(std::vector<double> values) {
+  const auto middle = values.begin() + static_cast<ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+/// Averages frames into a picture: a miss is white, each hit halves the light.
+class ReferenceImage {
+ public:
+  ReferenceImage(uint32_t width, uint32_t height)
+      : width_(width), height_(height), light_(size_t{width} * height, 0.0f) {}
+
+  void add(const std::vector<gpu::PixelHits>& hits) {
+    for (size_t i = 0; i < light_.size(); ++i) {
+      float light = 1.0f;
+      if (hits[i].primary_id != 0) {
+        light = 0.5f;
+        if (hits[i].bounce_id != 0 && hits[i].bounce_id != gpu::ray_absent) light = 0.25f;
+      }
+      light_[i] += light;
+    }
+    ++frame_count_;
+  }
+
+  void write(const fs::path& file) const {
+    std::vector<uint8_t> rgb;
+    rgb.reserve(light_.size() * 3);
+    for (const float sum : light_) {
+      const float value = sum / static_cast<float>(frame_count_);
+      rgb.insert(rgb.end(), 3, static_cast<uint8_t>(std::lround(255.0f * value)));
+    }
+    write_png(file, width_, height_, rgb);
+  }
+
+ private:
+  uint32_t width_;
+  uint32_t height_;
+  std::vector<float> light_;  // sums over frames
+  int frame_count_ = 0;
+};
+
+/// One study from its first file to its last.
+class Study {
+ public:
+  Study(const Config& config, const StudyOptions& options)
+      : config_(config), options_(options), sensors_(options.root, config) {}
+
+  StudyResult run() {
+    create_run_dir(options_.out);
+    try {
+      load_scenes();
+      open_device();
+      start_recording();
+    } catch (...) {
+      if (!writer_) remove_empty_run_dir();
+      throw;
+    }
+    try {
+      run_trials();
+    } catch (...) {
+      finish_recording();
+      throw;
+    }
+    finish_recording();
+    if (const std::string why = writer_->failure(); !why.empty()) throw std::runtime_error(why);
+    writer_->close();
+    check_validation();
+    return result_;
+  }
+
+ private:
+  // ---------------------------------------------------------------- before the first trial
+
+  /// Nothing was recorded: leave nothing behind.
+  void remove_empty_run_dir() const {
+    std::error_code ignored;  // not empty: it was there before and holds something else
+    fs::remove(options_.out / "images", ignored);
+    fs::remove(options_.out, ignored);
+  }
+
+  void load_scenes() {
+    for (const std::string& model : config_.models) {
+      scenes_.push_back(load_scene(model, [this](std::string_view text) { note(text); }));
+      for (const ViewChoice& view : config_.views) resolve_view(scenes_.back(), view);
+    }
+  }
+
+  void open_device() {
+    device_.reset();  // the old one first: a lost device must be gone before its successor
+    device_ = std::make_unique<kernels::Device>(
+        kernels::DeviceRequest{options_.device, options_.validation});
+  }
+
+  void start_recording() {
+    RunWriter::Config writer_config;
+    writer_config.pull_samples = [this](std::vector<Sample>& out) { sensors_.drain(out); };
+    writer_ = std::make_unique<RunWriter>(options_.out / "run.sqlite", std::move(writer_config));
+    for (const Channel& channel : sensors_.channels()) writer_->add_channel(channel);
+    record_meta();
+    sensors_.start();
+    first_temperature_c_ = sensors_.hottest_c();
+  }
+
+  void record_meta() {
+    const kernels::DeviceInfo& info = device_->info();
+    nlohmann::json refusals = nlohmann::json::array();
+    for (const kernels::DeviceRefusal& refusal : device_->refusals())
+      refusals.push_back({{"name", refusal.name}, {"reason", refusal.reason}});
+    const auto set = [this](const char* key, std::string value) {
+      writer_->set_meta(key, std::move(value));
+    };
+    set("name", config_.name);
+    set("config", config_.json.dump());
+    set("host", describe_host().dump());
+    set("device", to_json(info).dump());
+    set("device_refusals", refusals.dump());
+    set("driver", info.driver_name + " " + info.driver_info);
+    set("code_version", ENERGYPROF_VERSION);
+    set("build_type", ENERGYPROF_BUILD_TYPE);
+    set("begin_ns", std::to_string(now_ns()));
+    set("begin_utc", utc_now());
+    set("interrupted", "0");
+    set("simulated", options_.root == "/" ? "0" : "1");
+    set("quick", options_.quick ? "1" : "0");
+    set("quick_note", options_.quick_note);
+    set("clock_method", info.clock_note);
+    set("missing_sensors", sensors_.missing_json().dump());
+    set("verdict", sensors_.verdict());
+  }
+
+  // ---------------------------------------------------------------- trials
+
+  void run_trials() {
+    const std::vector<PlannedTrial> plan =
+        plan_trials({scenes_.size(), config_.views.size(), config_.algorithms.size(),
+                     config_.repetitions},
+                    config_.latin_square, config_.seed);
+    frames_per_trial_ = config_.warmup_frames + config_.timed_frames + 1;
+    Progress::Config progress_config;
+    progress_config.quiet = options_.quiet;
+    progress_config.total_frames = static_cast<int64_t>(plan.size()) * frames_per_trial_;
+    progress_config.live_values = [this] { return sensors_.live_values(); };
+    progress_ = std::make_unique<Progress>(std::move(progress_config));
+
+    for (size_t i = 0; i < plan.size() && !InterruptGuard::requested(); ++i)
+      run_trial(plan[i], i, plan.size());
+    progress_.reset();
+    result_.interrupted = InterruptGuard::requested();
+  }
+
+  void run_trial(const PlannedTrial& planned, size_t position, size_t trial_count) {
+    const Scene& scene = scenes_[planned.model];
+    const std::string& algorithm = config_.algorithms[planned.algorithm];
+    Trial trial;
+    trial.id = static_cast<int64_t>(position) + 1;
+    trial.model = scene.model;
+    trial.view = static_cast<int64_t>(planned.view);
+    if (const int* own = std::get_if<int>(&config_.views[planned.view])) trial.view = *own;
+    trial.algorithm = algorithm;
+    trial.repetition = planned.repetition;
+    trial.position = static_cast<int64_t>(position);
+    trial.width = config_.width;
+    trial.height = config_.height;
+    trial.triangle_count = static_cast<int64_t>(scene.mesh.triangles.size());
+
+    const int64_t frames_before = frames_done_;
+    std::string outcome;
+    try {
+      const accel::Built& built = blob_of(planned);
+      trial.build_ns = built.stats.build_ns;
+      trial.blob_bytes = built.stats.blob_bytes;
+      trial.node_count = built.stats.node_count;
+      trial.leaf_count = built.stats.leaf_count;
+      trial.max_depth = built.stats.max_depth;
+      trial.sah_cost = built.stats.sah_cost;
+      cool_down();
+      trial.begin_ns = now_ns();
+      writer_->put_trial(trial);
+      progress_->begin_trial(fmt::format("[{}/{}] {} view {} {}", position + 1, trial_count,
+                                         trial.model, trial.view, trial.algorithm));
+      outcome = trace(planned, trial, built.blob);
+    } catch (const kernels::DeviceLost& error) {
+      trial.skip_reason = error.what();
+      replace_device(error.what());
+    } catch (const kernels::OutOfMemory& error) {
+      trial.skip_reason = error.what();
+      replace_device(error.what());
+    } catch (const RecordingFailed&) {
+      throw;
+    } catch (const std::runtime_error& error) {
+      trial.skip_reason = error.what();
+    }
+    if (trial.begin_ns == 0) trial.begin_ns = now_ns();
+    trial.end_ns = now_ns();
+    writer_->put_trial(trial);
+    for (Event& event : sensors_.drain_events()) writer_->add_event(std::move(event));
+
+    ++result_.trial_count;
+    if (!trial.skip_reason.empty()) {
+      ++result_.skipped_count;
+      if (result_.first_skip_reason.empty()) result_.first_skip_reason = trial.skip_reason;
+      outcome = "skipped: " + trial.skip_reason;
+    }
+    progress_->end_trial(outcome, frames_per_trial_ - (frames_done_ - frames_before));
+  }
+
+  /// Warm-up, timed and counted frames of one trial; its result in words.
+  std::string trace(const PlannedTrial& planned, const Trial& trial, const AccelBlob& blob) {
+    const Scene& scene = scenes_[planned.model];
+    const ViewConfig view = resolve_view(scene, config_.views[planned.view]);
+    kernels::TraceSetup setup{blob, std::string(find_algorithm(trial.algorithm)->kernel),
+                              frame_constants(scene, view, config_.width, config_.height,
+                                              config_.bounces, config_.seed),
+                              {}};
+    kernels::TraceProgram program(*device_, setup);
+
+    std::vector<double> timed_ms;
+    int64_t next_frame_ns = now_ns();
+    for (int64_t frame = 0; frame < frames_per_trial_; ++frame) {
+      const Phase phase = frame < config_.warmup_frames        ? Phase::warmup
+                          : frame < frames_per_trial_ - 1      ? Phase::timed
+                                                               : Phase::counted;
+      if (InterruptGuard::requested()) return "interrupted";
+      next_frame_ns = pace(next_frame_ns);
+      FrameRecord record = program.run_frame(static_cast<uint32_t>(frame), phase);
+      record.id = ++frame_id_;
+      record.trial_id = trial.id;
+      if (phase == Phase::timed)
+        timed_ms.push_back(static_cast<double>(record.end_ns - record.begin_ns) * 1e-6);
+      writer_->add_frame(std::move(record));
+      ++frames_done_;
+      progress_->frame_done();
+      check_recording();
+    }
+    if (images_.insert({planned.model, planned.view}).second) write_reference(program, trial);
+    return fmt::format("{} frames, median {:.2f} ms", timed_ms.size(), median(timed_ms));
+  }
+
+  /// Waits for the next frame's turn; returns the turn after it.
+  [[nodiscard]] int64_t pace(int64_t turn_ns) const {
+    if (!config_.frames_per_second) return turn_ns;
+    const int64_t now = now_ns();
+    if (turn_ns > now) std::this_thread::sleep_for(std::chrono::nanoseconds(turn_ns - now));
+    // After a late frame the rhythm starts anew: no burst to catch up.
+    return std::max(turn_ns, now) +
+           static_cast<int64_t>(static_cast<double>(ns_per_s) / *config_.frames_per_second);
+  }
+
+  void write_reference(kernels::TraceProgram& program, const Trial& trial) {
+    ReferenceImage image(config_.width, config_.height);
+    const int64_t begin_ns = now_ns();
+    for (int i = 0; i < reference_frame_limit; ++i) {
+      const auto frame = static_cast<uint32_t>(frames_per_trial_ + i);
+      static_cast<void>(program.run_frame(frame, Phase::warmup));
+      image.add(program.read_hits());
+      if (InterruptGuard::requested() || now_ns() - begin_ns > reference_time_limit_ns) break;
+    }
+    const std::string name =
+        fmt::format("{}_view{}_reference.png", file_name_part(trial.model), trial.view);
+    image.write(options_.out / "images" / name);
+  }
+
+  const accel::Built& blob_of(const PlannedTrial& planned) {
+    const auto key = std::pair(planned.model, planned.algorithm);
+    auto found = blobs_.find(key);
+    if (found == blobs_.end()) {
+      const Algorithm& algorithm = *find_algorithm(config_.algorithms[planned.algorithm]);
+      accel::Built built = algorithm.build(scenes_[planned.model].mesh);
+      if (const auto violations = accel::validate(built.blob); !violations.empty())
+        throw std::logic_error(fmt::format("the {} of {} is broken: {}", algorithm.name,
+                                           scenes_[planned.model].model, violations.front()));
+      found = blobs_.emplace(key, std::move(built)).first;
+    }
+    return found->second;
+  }
+
+  /// After a lost device or a failed allocation: the next trial starts on a new device.
+  void replace_device(const std::string& why) {
+    writer_->add_event({now_ns(), std::nullopt, Severity::error, "device", std::nullopt, why});
+    collect_validation();
+    open_device();
+  }
+
+  /// Waits until the hottest sensor is back in the band of the run's beginning.
+  void cool_down() {
+    if (!first_temperature_c_ || config_.cooldown_max_s <= 0.0) return;
+    const int64_t begin_ns = now_ns();
+    const auto limit_ns = static_cast<int64_t>(config_.cooldown_max_s * 1e9);
+    const double target_c = *first_temperature_c_ + cooldown_band_c;
+    bool waited = false;
+    while (!InterruptGuard::requested() && now_ns() - begin_ns < limit_ns) {
+      const std::optional<double> hottest_c = sensors_.hottest_c();
+      if (!hottest_c || *hottest_c <= target_c) break;
+      waited = true;
+      std::this_thread::sleep_for(std::chrono::milliseconds(100));
+    }
+    if (waited)
+      writer_->add_event({begin_ns, now_ns(), Severity::info, "cooldown", std::nullopt,
+                          fmt::format("waited for {:.1f} C or less", target_c)});
+  }
+
+  // ---------------------------------------------------------------- the end
+
+  struct RecordingFailed : std::runtime_error {
+    using std::runtime_error::runtime_error;
+  };
+
+  void check_recording() const {
+    if (const std::string why = writer_->failure(); !why.empty()) throw RecordingFailed(why);
+  }
+
+  /// Ends the sampler and says so in the record. Safe after any failure.
+  void finish_recording() {
+    progress_.reset();
+    sensors_.stop();
+    for (Event& event : sensors_.drain_events()) writer_->add_event(std::move(event));
+    for (const auto& [key, value] : sensors_.cost_meta()) writer_->set_meta(key, value);
+    writer_->set_meta("interrupted", InterruptGuard::requested() ? "1" : "0");
+    writer_->set_meta("end_ns", std::to_string(now_ns()));
+    writer_->flush();
+  }
+
+  void collect_validation() {
+    for (std::string& message : device_->validation_messages())
+      validation_messages_.push_back(std::move(message));
+  }
+
+  void check_validation() {
+    collect_validation();
+    if (!validation_messages_.empty())
+      throw std::runtime_error(fmt::format("Vulkan validation has {} complaints; the first: {}",
+                                           validation_messages_.size(),
+                                           validation_messages_.front()));
+  }
+
+  void note(std::string_view text) const {
+    if (!options_.quiet) fmt::print(stderr, "{}\n", text);
+  }
+
+  const Config& config_;
+  const StudyOptions& options_;
+  Sensors sensors_;  // first: its counters must exist before the device's threads do
+  std::vector<Scene> scenes_;
+  std::unique_ptr<kernels::Device> device_;
+  std::unique_ptr<RunWriter> writer_;
+  std::unique_ptr<Progress> progress_;
+  std::map<std::pair<size_t, size_t>, accel::Built> blobs_;  // by model and algorithm
+  std::set<std::pair<size_t, size_t>> images_;               // model and view already pictured
+  std::vector<std::string> validation_messages_;
+  std::optional<double> first_temperature_c_;
+  StudyResult result_;
+  int64_t frames_per_trial_ = 0;
+  int64_t frames_done_ = 0;
+  int64_t frame_id_ = 0;
+};
+
+}  // namespace
+
+void create_run_dir(const fs::path& dir) {
+  std::error_code failed;
+  fs::create_directories(dir / "images", failed);
+  if (failed)
+    throw std::runtime_error(
+        fmt::format("cannot create run directory '{}': {}. Give another with --out.", dir.string(),
+                    failed.message()));
+  for (const char* name : {"run.sqlite", "timeline.json", "report.json", "report.md", "report.html"})
+    if (fs::exists(dir / name))
+      throw std::runtime_error(
+          fmt::format("cannot record to '{}': it already holds '{}', and a run is never "
+                      "overwritten. Give another directory with --out.",
+                      dir.string(), name));
+}
+
+StudyResult record_study(const Config& config, const StudyOptions& options) {
+  return Study(config, options).run();
+}
+
+}  // namespace energyprof::app

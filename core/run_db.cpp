@@ -1,0 +1,520 @@
+#include "core/run_db.h"
+
+#include <fmt/format.h>
+#include <fmt/std.h>
+
+#include <algorithm>
+#include <condition_variable>
+#include <mutex>
+#include <set>
+#include <stdexcept>
+#include <thread>
+
+#include "core/sqlite.h"
+
+namespace energyprof {
+namespace {
+
+using sqlite::Database;
+using sqlite::Statement;
+
+constexpr const char* create_tables = R"sql(
+CREATE TABLE meta(key TEXT PRIMARY KEY, value TEXT);
+CREATE TABLE channels(id INTEGER PRIMARY KEY, name TEXT UNIQUE, source TEXT, quantity TEXT,
+    unit TEXT, kind TEXT, wrap_at INTEGER, period_ns INTEGER, read_cost_ns INTEGER, origin TEXT);
+CREATE TABLE samples(channel_id INTEGER, t_ns INTEGER, value NUMERIC);
+CREATE TABLE trials(id INTEGER PRIMARY KEY, model TEXT, view INTEGER, algorithm TEXT,
+    repetition INTEGER, position INTEGER, begin_ns INTEGER, end_ns INTEGER, skip_reason TEXT,
+    build_ns INTEGER, blob_bytes INTEGER, triangle_count INTEGER, node_count INTEGER,
+    leaf_count INTEGER, max_depth INTEGER, sah_cost REAL, width INTEGER, height INTEGER);
+CREATE TABLE frames(id INTEGER PRIMARY KEY, trial_id INTEGER, frame INTEGER, phase TEXT,
+    submit_ns INTEGER, begin_ns INTEGER, end_ns INTEGER, clock_error_ns INTEGER,
+    ray_count INTEGER, hit_count INTEGER, hit_checksum TEXT, node_visit_count INTEGER,
+    prim_test_count INTEGER, box_test_count INTEGER, dispatch_count INTEGER);
+CREATE TABLE events(t_ns INTEGER, end_ns INTEGER, severity TEXT, kind TEXT, channel_id INTEGER,
+    text TEXT);
+)sql";
+
+/// What waits for the next transaction.
+struct Batch {
+  std::vector<std::pair<std::string, std::string>> meta;
+  std::vector<Channel> channels;
+  std::vector<Sample> samples;
+  std::vector<Trial> trials;
+  std::vector<FrameRecord> frames;
+  std::vector<Event> events;
+
+  [[nodiscard]] bool empty() const {
+    return meta.empty() && channels.empty() && samples.empty() && trials.empty() &&
+           frames.empty() && events.empty();
+  }
+};
+
+/// The statements that write a batch; prepared once.
+class Inserter {
+ public:
+  explicit Inserter(Database& db)
+      : db_(db),
+        meta_(db, "INSERT OR REPLACE INTO meta VALUES(?,?)"),
+        channel_(db, "INSERT OR REPLACE INTO channels VALUES(?,?,?,?,?,?,?,?,?,?)"),
+        sample_(db, "INSERT INTO samples VALUES(?,?,?)"),
+        trial_(db, "INSERT OR REPLACE INTO trials VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)"),
+        frame_(db, "INSERT INTO frames VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)"),
+        event_(db, "INSERT INTO events VALUES(?,?,?,?,?,?)") {}
+
+  /// All of `batch` in one transaction, or nothing of it.
+  void commit(const Batch& batch) {
+    if (batch.empty()) return;
+    db_.execute("BEGIN");
+    try {
+      for (const auto& [key, value] : batch.meta) meta_.bind(key).bind(value).run();
+      for (const Channel& channel : batch.channels) insert(channel);
+      for (const Sample& sample : batch.samples)
+        sample_.bind(int64_t{sample.channel_id}).bind(sample.t_ns).bind(sample.value).run();
+      for (const Trial& trial : batch.trials) insert(trial);
+      for (const FrameRecord& frame : batch.frames) insert(frame);
+      for (const Event& event : batch.events) insert(event);
+      db_.execute("COMMIT");
+    } catch (...) {
+      // SQLite has already rolled back after some errors (a full disk); then this does nothing.
+      sqlite3_exec(db_.handle(), "ROLLBACK", nullptr, nullptr, nullptr);
+      throw;
+    }
+  }
+
+ private:
+  void insert(const Channel& channel) {
+    channel_.bind(int64_t{channel.id})
+        .bind(channel.name)
+        .bind(channel.source)
+        .bind(to_string(channel.quantity))
+        .bind(unit_info(channel.unit).name)
+        .bind(to_string(channel.kind))
+        .bind(channel.wrap_at)
+        .bind(channel.period_ns)
+        .bind(channel.read_cost_ns)
+        .bind_text_or_null(channel.origin)
+        .run();
+  }
+
+  void insert(const Trial& trial) {
+    trial_.bind(trial.id)
+        .bind(trial.model)
+        .bind(trial.view)
+        .bind(trial.algorithm)
+        .bind(trial.repetition)
+        .bind(trial.position)
+        .bind(trial.begin_ns)
+        .bind(trial.end_ns)
+        .bind_text_or_null(trial.skip_reason)
+        .bind(trial.build_ns)
+        .bind(trial.blob_bytes)
+        .bind(trial.triangle_count)
+        .bind(trial.node_count)
+        .bind(trial.leaf_count)
+        .bind(trial.max_depth)
+        .bind(trial.sah_cost)
+        .bind(trial.width)
+        .bind(trial.height)
+        .run();
+  }
+
+  void insert(const FrameRecord& frame) {
+    frame_.bind(frame.id)
+        .bind(frame.trial_id)
+        .bind(frame.frame)
+        .bind(to_string(frame.phase))
+        .bind(frame.submit_ns)
+        .bind(frame.begin_ns)
+        .bind(frame.end_ns)
+        .bind(frame.clock_error_ns)
+        .bind(frame.ray_count)
+        .bind(frame.hit_count)
+        .bind_text_or_null(frame.hit_checksum)
+        .bind(frame.node_visit_count)
+        .bind(frame.prim_test_count)
+        .bind(frame.box_test_count)
+        .bind(frame.dispatch_count)
+        .run();
+  }
+
+  void insert(const Event& event) {
+    event_.bind(event.t_ns)
+        .bind(event.end_ns)
+        .bind(to_string(event.severity))
+        .bind(event.kind)
+        .bind(event.channel_id ? std::optional<int64_t>(*event.channel_id) : std::nullopt)
+        .bind(event.text)
+        .run();
+  }
+
+  Database& db_;
+  Statement meta_, channel_, sample_, trial_, frame_, event_;
+};
+
+}  // namespace
+
+// ---------------------------------------------------------------------------- recording
+
+struct RunWriter::Impl {
+  Impl(std::filesystem::path path, Config writer_config)
+      : file(std::move(path)),
+        config(std::move(writer_config)),
+        db(open_new(file)),
+        inserter(prepare(db, config)) {
+    thread = std::thread([this] { write_until_closed(); });
+  }
+
+  static Database open_new(const std::filesystem::path& file) {
+    if (std::filesystem::exists(file))
+      throw std::runtime_error(fmt::format(
+          "cannot record to '{}': it exists already and a run is never overwritten.", file.string()));
+    try {
+      return {file, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE | SQLITE_OPEN_NOMUTEX};
+    } catch (const std::runtime_error& error) {
+      throw std::runtime_error(
+          fmt::format("cannot create '{}': {}.", file.string(), error.what()));
+    }
+  }
+
+  Inserter prepare(Database& database, const Config& writer_config) const {
+    try {
+      database.execute(fmt::format("PRAGMA application_id={}", run_application_id));
+      database.execute("PRAGMA journal_mode=WAL");
+      database.execute("PRAGMA synchronous=NORMAL");
+      if (writer_config.max_page_count > 0)
+        database.execute(fmt::format("PRAGMA max_page_count={}", writer_config.max_page_count));
+      database.execute(fmt::format("BEGIN; {} PRAGMA user_version={}; COMMIT", create_tables,
+                                   schema_version));
+      return Inserter(database);
+    } catch (const std::runtime_error& error) {
+      throw std::runtime_error(
+          fmt::format("cannot create '{}': {}.", file.string(), error.what()));
+    }
+  }
+
+  template <class Append>
+  void append(Append&& add) {
+    const std::lock_guard lock(mutex);
+    if (failure.empty()) add(pending);
+  }
+
+  void write_until_closed() {
+    const auto period = std::chrono::nanoseconds(config.commit_period_ns);
+    std::unique_lock lock(mutex);
+    for (;;) {
+      wake.wait_for(lock, period, [this] { return closing || flush_wanted > flush_done; });
+      const bool last = closing;
+      const int64_t flush_target = flush_wanted;
+      Batch batch;
+      std::swap(batch, pending);
+      const bool failed_before = !failure.empty();
+      lock.unlock();
+
+      std::string why;
+      if (!failed_before) why = commit(batch);
+
+      lock.lock();
+      if (!why.empty()) failure = std::move(why);
+      flush_done = flush_target;
+      flushed.notify_all();
+      if (last && pending.empty()) return;
+    }
+  }
+
+  /// Empty, or why the batch could not be written.
+  std::string commit(Batch& batch) {
+    try {
+      if (config.pull_samples) config.pull_samples(batch.samples);
+      inserter.commit(batch);
+      return {};
+    } catch (const std::exception& error) {
+      return fmt::format("cannot record to '{}': {}. What was recorded until then is readable.",
+                         file.string(), error.what());
+    }
+  }
+
+  void stop() {
+    {
+      const std::lock_guard lock(mutex);
+      closing = true;
+    }
+    wake.notify_all();
+    if (thread.joinable()) thread.join();
+  }
+
+  std::filesystem::path file;
+  Config config;
+  Database db;
+  Inserter inserter;
+
+  mutable std::mutex mutex;
+  std::condition_variable wake;     // there is something to write, or the end
+  std::condition_variable flushed;  // flush_done has advanced
+  Batch pending;
+  std::string failure;
+  int64_t flush_wanted = 0;
+  int64_t flush_done = 0;
+  bool closing = false;
+  std::thread thread;
+};
+
+RunWriter::RunWriter(const std::filesystem::path& file, Config config)
+    : impl_(std::make_unique<Impl>(file, std::move(config))) {
+  set_meta("schema_version", std::to_string(schema_version));
+}
+
+RunWriter::~RunWriter() {
+  if (impl_) impl_->stop();
+}
+
+void RunWriter::set_meta(std::string key, std::string value) {
+  impl_->append([&](Batch& b) { b.meta.emplace_back(std::move(key), std::move(value)); });
+}
+
+void RunWriter::add_channel(Channel channel) {
+  impl_->append([&](Batch& b) { b.channels.push_back(std::move(channel)); });
+}
+
+void RunWriter::add_samples(std::span<const Sample> samples) {
+  impl_->append(
+      [&](Batch& b) { b.samples.insert(b.samples.end(), samples.begin(), samples.end()); });
+}
+
+void RunWriter::put_trial(Trial trial) {
+  impl_->append([&](Batch& b) { b.trials.push_back(std::move(trial)); });
+}
+
+void RunWriter::add_frame(FrameRecord frame) {
+  impl_->append([&](Batch& b) { b.frames.push_back(std::move(frame)); });
+}
+
+void RunWriter::add_event(Event event) {
+  impl_->append([&](Batch& b) { b.events.push_back(std::move(event)); });
+}
+
+void RunWriter::flush() {
+  std::unique_lock lock(impl_->mutex);
+  const int64_t target = ++impl_->flush_wanted;
+  impl_->wake.notify_all();
+  impl_->flushed.wait(lock, [&] { return impl_->flush_done >= target; });
+}
+
+std::string RunWriter::failure() const {
+  const std::lock_guard lock(impl_->mutex);
+  return impl_->failure;
+}
+
+void RunWriter::close() {
+  impl_->stop();
+  const std::unique_ptr<Impl> impl = std::move(impl_);
+  if (!impl->failure.empty()) throw std::runtime_error(impl->failure);
+  try {
+    impl->db.execute("PRAGMA journal_mode=DELETE");
+  } catch (const std::runtime_error& error) {
+    throw std::runtime_error(fmt::format("cannot finish '{}': {}. What was recorded is readable.",
+                                         impl->file.string(), error.what()));
+  }
+}
+
+// ---------------------------------------------------------------------------- reading back
+
+namespace {
+
+/// The columns a table has; empty if there is no such table.
+std::set<std::string> columns_of(Database& db, const std::string& table) {
+  std::set<std::string> columns;
+  Statement statement(db, "SELECT name FROM pragma_table_info('" + table + "')");
+  while (statement.next()) columns.insert(statement.text(0));
+  return columns;
+}
+
+/// SELECT of `required` columns and of those of `optional` that the table has; the others as NULL.
+std::string select(Database& db, const std::string& table, const std::vector<std::string>& required,
+                   const std::vector<std::string>& optional, const std::string& order_by) {
+  const std::set<std::string> present = columns_of(db, table);
+  if (present.empty()) throw std::runtime_error(fmt::format("table '{}' is missing", table));
+  std::string list;
+  for (const std::string& column : required) {
+    if (!present.contains(column))
+      throw std::runtime_error(fmt::format("table '{}' has no column '{}'", table, column));
+    list += (list.empty() ? "" : ",") + column;
+  }
+  for (const std::string& column : optional)
+    list += present.contains(column) ? "," + column : ",NULL";
+  return fmt::format("SELECT {} FROM {} ORDER BY {}", list, table, order_by);
+}
+
+template <class T>
+T parse_name(std::optional<T> parsed, std::string_view column, const std::string& text) {
+  if (!parsed) throw std::runtime_error(fmt::format("{} '{}' is not known", column, text));
+  return *parsed;
+}
+
+Phase parse_phase(const std::string& text) {
+  for (const Phase phase : {Phase::warmup, Phase::timed, Phase::counted})
+    if (text == to_string(phase)) return phase;
+  throw std::runtime_error(
+      fmt::format("frames.phase '{}' is not known; expected warmup, timed or counted", text));
+}
+
+Severity parse_severity(const std::string& text) {
+  for (const Severity severity : {Severity::info, Severity::warning, Severity::error})
+    if (text == to_string(severity)) return severity;
+  throw std::runtime_error(
+      fmt::format("events.severity '{}' is not known; expected info, warning or error", text));
+}
+
+void read_meta(Database& db, RunRecord& run) {
+  Statement s(db, select(db, "meta", {"key", "value"}, {}, "key"));
+  while (s.next()) run.meta[s.text(0)] = s.text(1);
+  const auto version = run.meta.find("schema_version");
+  if (version == run.meta.end()) return;
+  int found = 0;
+  try {
+    found = std::stoi(version->second);
+  } catch (const std::exception&) {
+    throw std::runtime_error(
+        fmt::format("meta schema_version is '{}'; expected a number", version->second));
+  }
+  if (found > schema_version)
+    throw std::runtime_error(
+        fmt::format("its schema_version is {}, this program reads up to {}", found, schema_version));
+}
+
+void read_channels(Database& db, RunRecord& run) {
+  Statement s(db, select(db, "channels",
+                         {"id", "name", "source", "quantity", "unit", "kind", "wrap_at",
+                          "period_ns", "read_cost_ns", "origin"},
+                         {}, "id"));
+  while (s.next()) {
+    Channel c;
+    c.id = static_cast<int32_t>(s.integer(0));
+    c.name = s.text(1);
+    c.source = s.text(2);
+    c.quantity = parse_name(parse_quantity(s.text(3)), "channels.quantity", s.text(3));
+    c.unit_text = s.text(4);
+    c.unit = parse_unit(c.unit_text).value_or(Unit::none);
+    c.kind = parse_name(parse_kind(s.text(5)), "channels.kind", s.text(5));
+    c.wrap_at = s.optional_integer(6);
+    c.period_ns = s.optional_integer(7).value_or(0);
+    c.read_cost_ns = s.optional_integer(8);
+    c.origin = s.text(9);
+    run.channels.push_back(std::move(c));
+  }
+}
+
+void read_samples(Database& db, RunRecord& run) {
+  Statement s(db, select(db, "samples", {"channel_id", "t_ns", "value"}, {}, "channel_id, t_ns"));
+  while (s.next()) {
+    if (s.is_null(2)) continue;
+    SampleSeries& series = run.series[static_cast<int32_t>(s.integer(0))];
+    series.t_ns.push_back(s.integer(1));
+    series.value.push_back(s.real(2));
+  }
+}
+
+void read_trials(Database& db, RunRecord& run) {
+  Statement s(db, select(db, "trials",
+                         {"id", "model", "view", "algorithm", "repetition", "position", "begin_ns",
+                          "end_ns", "skip_reason", "build_ns", "blob_bytes"},
+                         {"triangle_count", "node_count", "leaf_count", "max_depth", "sah_cost",
+                          "width", "height"},
+                         "begin_ns, id"));
+  while (s.next()) {
+    Trial t;
+    t.id = s.integer(0);
+    t.model = s.text(1);
+    t.view = s.optional_integer(2).value_or(0);
+    t.algorithm = s.text(3);
+    t.repetition = s.optional_integer(4).value_or(0);
+    t.position = s.optional_integer(5).value_or(0);
+    t.begin_ns = s.integer(6);
+    t.end_ns = s.optional_integer(7);
+    t.skip_reason = s.text(8);
+    t.build_ns = s.optional_integer(9);
+    t.blob_bytes = s.optional_integer(10);
+    t.triangle_count = s.optional_integer(11);
+    t.node_count = s.optional_integer(12);
+    t.leaf_count = s.optional_integer(13);
+    t.max_depth = s.optional_integer(14);
+    if (!s.is_null(15)) t.sah_cost = s.real(15);
+    t.width = s.optional_integer(16);
+    t.height = s.optional_integer(17);
+    run.trials.push_back(std::move(t));
+  }
+}
+
+void read_frames(Database& db, RunRecord& run) {
+  Statement s(db, select(db, "frames",
+                         {"id", "trial_id", "frame", "phase", "submit_ns", "begin_ns", "end_ns",
+                          "clock_error_ns", "ray_count", "hit_count", "hit_checksum",
+                          "node_visit_count", "prim_test_count"},
+                         {"box_test_count", "dispatch_count"}, "begin_ns, id"));
+  while (s.next()) {
+    FrameRecord f;
+    f.id = s.integer(0);
+    f.trial_id = s.integer(1);
+    f.frame = s.integer(2);
+    f.phase = parse_phase(s.text(3));
+    f.begin_ns = s.integer(5);
+    f.end_ns = s.integer(6);
+    f.submit_ns = s.optional_integer(4).value_or(f.begin_ns);
+    f.clock_error_ns = s.optional_integer(7);
+    f.ray_count = s.optional_integer(8);
+    f.hit_count = s.optional_integer(9);
+    f.hit_checksum = s.text(10);
+    f.node_visit_count = s.optional_integer(11);
+    f.prim_test_count = s.optional_integer(12);
+    f.box_test_count = s.optional_integer(13);
+    f.dispatch_count = s.optional_integer(14);
+    run.frames.push_back(std::move(f));
+  }
+}
+
+void read_events(Database& db, RunRecord& run) {
+  Statement s(db, select(db, "events", {"t_ns", "end_ns", "severity", "kind", "channel_id", "text"},
+                         {}, "t_ns"));
+  while (s.next()) {
+    Event e;
+    e.t_ns = s.integer(0);
+    e.end_ns = s.optional_integer(1);
+    e.severity = parse_severity(s.text(2));
+    e.kind = s.text(3);
+    if (!s.is_null(4)) e.channel_id = static_cast<int32_t>(s.integer(4));
+    e.text = s.text(5);
+    run.events.push_back(std::move(e));
+  }
+}
+
+}  // namespace
+
+std::filesystem::path run_file(const std::filesystem::path& run) {
+  return std::filesystem::is_directory(run) ? run / "run.sqlite" : run;
+}
+
+RunRecord read_run(const std::filesystem::path& run) {
+  const std::filesystem::path file = run_file(run);
+  if (!std::filesystem::exists(file))
+    throw std::runtime_error(
+        fmt::format("cannot read run '{}': there is no such file. Give a run directory or the "
+                    "run.sqlite inside it.",
+                    file.string()));
+  try {
+    Database db(file, SQLITE_OPEN_READONLY | SQLITE_OPEN_NOMUTEX);
+    db.execute("BEGIN");  // one consistent view, also of a run that is still being recorded
+    RunRecord record;
+    read_meta(db, record);
+    read_channels(db, record);
+    read_samples(db, record);
+    read_trials(db, record);
+    read_frames(db, record);
+    read_events(db, record);
+    return record;
+  } catch (const std::runtime_error& error) {
+    throw std::runtime_error(
+        fmt::format("cannot read run '{}': {}.", file.string(), error.what()));
+  }
+}
+
+}  // namespace energyprof

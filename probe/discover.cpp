@@ -1,0 +1,168 @@
+#include "probe/discover.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <array>
+#include <set>
+#include <stdexcept>
+#include <utility>
+
+#include "core/clock.h"
+#include "probe/cgroup.h"
+#include "probe/cpufreq.h"
+#include "probe/hwmon.h"
+#include "probe/perf_events.h"
+#include "probe/powercap.h"
+#include "probe/proc_stat.h"
+#include "probe/psi.h"
+#include "probe/thermal.h"
+
+namespace energyprof::probe {
+namespace {
+
+struct Row {
+  std::string_view name;
+  void (*discover)(const Root&, Discovery&);
+};
+constexpr std::array rows{
+    Row{"powercap", discover_powercap},   Row{"hwmon", discover_hwmon},
+    Row{"thermal", discover_thermal},     Row{"cpufreq", discover_cpufreq},
+    Row{"proc_stat", discover_proc_stat}, Row{"psi", discover_psi},
+    Row{"cgroup", discover_cgroup},       Row{"perf", discover_perf_events},
+};
+
+void check_names(const Selection& selection) {
+  for (const std::string& name : selection.sources)
+    if (std::none_of(rows.begin(), rows.end(), [&](const Row& row) { return row.name == name; }))
+      throw std::runtime_error(
+          fmt::format("cannot use sensor source '{}': there is none; expected {}.", name,
+                      fmt::join(source_names(), ", ")));
+}
+
+bool is_selected(const Selection& selection, std::string_view name) {
+  return selection.sources.empty() || std::find(selection.sources.begin(), selection.sources.end(),
+                                                name) != selection.sources.end();
+}
+
+// Sources name their channels uniquely; a machine that lists one thing twice gets "#2" here.
+void number_channels(Discovery& discovery) {
+  std::set<std::string> taken;
+  int32_t id = 0;
+  for (const auto& source : discovery.sources)
+    for (Channel& channel : source->channels()) {
+      channel.id = ++id;
+      const std::string name = channel.name;
+      for (int copy = 2; !taken.insert(channel.name).second; ++copy)
+        channel.name = fmt::format("{}#{}", name, copy);
+    }
+}
+
+// Names of the channels that `wanted` picks: the first three, then how many more.
+template <class Predicate>
+std::string names_where(const Discovery& discovery, Predicate wanted) {
+  constexpr size_t shown = 3;
+  std::vector<std::string> names;
+  for (const auto& source : discovery.sources)
+    for (const Channel& channel : source->channels())
+      if (wanted(channel)) names.push_back(channel.name);
+  const size_t more = names.size() > shown ? names.size() - shown : 0;
+  names.resize(names.size() - more);
+  std::string text = fmt::format("{}", fmt::join(names, ", "));
+  if (more > 0) text += fmt::format(" and {} more", more);
+  return text;
+}
+
+// A question a study may ask, and the channels that answer it.
+struct Question {
+  std::string_view text;
+  bool (*answers)(const Channel&);
+};
+constexpr std::array questions{
+    Question{"energy", [](const Channel& c) { return c.quantity == Quantity::energy; }},
+    Question{"power", [](const Channel& c) { return c.quantity == Quantity::power; }},
+    Question{"GPU clock",
+             [](const Channel& c) {
+               return c.quantity == Quantity::frequency && c.source != "cpufreq";
+             }},
+    Question{"CPU clock", [](const Channel& c) { return c.source == "cpufreq"; }},
+    Question{"temperature", [](const Channel& c) { return c.quantity == Quantity::temperature; }},
+    Question{"throttle reasons", [](const Channel& c) { return c.quantity == Quantity::throttle; }},
+    Question{"power limits", [](const Channel& c) { return c.quantity == Quantity::limit; }},
+    Question{"cache misses", [](const Channel& c) { return c.quantity == Quantity::cache_miss; }},
+    Question{"memory traffic",
+             [](const Channel& c) { return c.quantity == Quantity::memory_traffic; }},
+    Question{"interference by the host",
+             [](const Channel& c) { return c.quantity == Quantity::interference; }},
+};
+
+}  // namespace
+
+std::vector<std::string> source_names() {
+  std::vector<std::string> names;
+  for (const Row& row : rows) names.emplace_back(row.name);
+  return names;
+}
+
+Discovery discover(const Root& root, const Selection& selection) {
+  check_names(selection);
+  Discovery discovery;
+  for (const Row& row : rows)
+    if (is_selected(selection, row.name)) row.discover(root, discovery);
+  number_channels(discovery);
+  return discovery;
+}
+
+void characterize(Discovery& discovery) {
+  constexpr int most_polls = 31;
+  constexpr int64_t source_budget_ns = 5 * ns_per_ms;
+  constexpr int64_t total_budget_ns = 100 * ns_per_ms;
+  const int64_t begin_ns = now_ns();
+  std::vector<Reading> readings;
+  std::vector<int64_t> costs_ns;
+  for (const auto& source : discovery.sources) {
+    readings.resize(source->channels().size());
+    costs_ns.clear();
+    const int64_t source_begin_ns = now_ns();
+    int64_t before_ns = source_begin_ns;
+    do {
+      source->poll(readings);
+      const int64_t after_ns = now_ns();
+      costs_ns.push_back(after_ns - before_ns);
+      before_ns = after_ns;
+    } while (costs_ns.size() < most_polls && before_ns - source_begin_ns < source_budget_ns &&
+             before_ns - begin_ns < total_budget_ns);
+    const auto median = costs_ns.begin() + static_cast<std::ptrdiff_t>(costs_ns.size() / 2);
+    std::nth_element(costs_ns.begin(), median, costs_ns.end());
+    const auto channel_count = static_cast<int64_t>(source->channels().size());
+    for (Channel& channel : source->channels()) channel.read_cost_ns = *median / channel_count;
+  }
+}
+
+std::string verdict(const Discovery& discovery) {
+  std::vector<std::string> can;
+  std::vector<std::string_view> cannot;
+  for (const Question& question : questions) {
+    const std::string names = names_where(discovery, question.answers);
+    if (names.empty())
+      cannot.push_back(question.text);
+    else
+      can.push_back(fmt::format("{} ({})", question.text, names));
+  }
+  const auto lacks = [&](std::string_view text) {
+    return std::find(cannot.begin(), cannot.end(), text) != cannot.end();
+  };
+  std::string line = can.empty() ? "Nothing but frame times can be measured here"
+                                 : fmt::format("Can be measured here: {}", fmt::join(can, "; "));
+  if (!cannot.empty()) line += fmt::format(". Cannot: {}", fmt::join(cannot, ", "));
+  if (lacks("energy") && lacks("power"))
+    line += ". A study ranks by time only; joules per ray will be refused";
+  else if (lacks("energy"))
+    line += ". Joules come from sampled power: long windows only";
+  if (lacks("throttle reasons") && lacks("GPU clock"))
+    line += ". Slow frames can be blamed on the host or stay unexplained, not on GPU throttling";
+  return line + '.';
+}
+
+}  // namespace energyprof::probe

@@ -1,0 +1,36 @@
+#include "probe/file_source.h"
+
+#include <utility>
+
+namespace energyprof::probe {
+namespace {
+
+std::vector<Channel> channels_of(const std::vector<FileChannel>& rows) {
+  std::vector<Channel> channels;
+  for (const FileChannel& row : rows) {
+    channels.push_back(row.channel);
+    channels.back().origin = row.file.path();
+  }
+  return channels;
+}
+
+}  // namespace
+
+FileSource::FileSource(std::string name, int64_t period_ns, std::vector<FileChannel> rows)
+    : SensorSource(std::move(name), period_ns, channels_of(rows)) {
+  files_.reserve(rows.size());
+  for (FileChannel& row : rows) files_.push_back(std::move(row.file));
+}
+
+void FileSource::poll(std::span<Reading> out) noexcept {
+  for (size_t i = 0; i < files_.size(); ++i) out[i] = files_[i].read_int();
+}
+
+void add_file_source(Discovery& discovery, std::string name, int64_t period_ns,
+                     std::vector<FileChannel> rows) {
+  if (rows.empty()) return;
+  discovery.sources.push_back(
+      std::make_unique<FileSource>(std::move(name), period_ns, std::move(rows)));
+}
+
+}  // namespace energyprof::probe

@@ -1,0 +1,31 @@
+/// A source whose channels are one file with one integer each.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "probe/source.h"
+#include "probe/text_file.h"
+
+namespace energyprof::probe {
+
+/// A channel and the file its value comes from.
+struct FileChannel {
+  Channel channel;
+  TextFile file;
+};
+
+class FileSource final : public SensorSource {
+ public:
+  FileSource(std::string name, int64_t period_ns, std::vector<FileChannel> rows);
+  void poll(std::span<Reading> out) noexcept override;
+
+ private:
+  std::vector<TextFile> files_;
+};
+
+/// Adds a FileSource of these rows to `discovery`; nothing for no rows.
+void add_file_source(Discovery& discovery, std::string name, int64_t period_ns,
+                     std::vector<FileChannel> rows);
+
+}  // namespace energyprof::probe

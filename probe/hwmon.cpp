@@ -1,0 +1,220 @@
+// Expects:
+//
+//   sys/class/hwmon/hwmon5/name          coretemp
+//   sys/class/hwmon/hwmon5/device        link to the device: ../../../coretemp.0
+//   sys/class/hwmon/hwmon5/temp1_label   Package id 0
+//   sys/class/hwmon/hwmon5/temp1_input   28000
+#include "probe/hwmon.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+#include <map>
+#include <set>
+#include <utility>
+
+#include "core/clock.h"
+#include "probe/file_source.h"
+#include "probe/names.h"
+
+namespace energyprof::probe {
+namespace {
+
+constexpr std::string_view class_dir = "sys/class/hwmon";
+
+// What "<prefix><number>_<item>" means.
+struct Item {
+  std::string_view prefix;
+  std::string_view item;
+  std::string_view suffix;
+  Quantity quantity;
+  Unit unit;
+  Kind kind;
+};
+constexpr std::array items{
+    Item{"temp", "input", "temp", Quantity::temperature, Unit::millicelsius, Kind::gauge},
+    Item{"power", "input", "power", Quantity::power, Unit::microwatt, Kind::gauge},
+    Item{"power", "average", "power_average", Quantity::power, Unit::microwatt, Kind::average},
+    Item{"energy", "input", "energy", Quantity::energy, Unit::microjoule, Kind::cumulative},
+    Item{"freq", "input", "freq", Quantity::frequency, Unit::hertz, Kind::gauge},
+};
+
+// Chips whose driver caches for about a second, or whose every read costs a firmware call, a disk
+// command or a bus transfer.
+constexpr std::array<std::string_view, 9> slow_chips{
+    "coretemp", "nvme", "drivetemp", "acpitz", "iwlwifi", "BAT", "dell_smm", "thinkpad", "spd5118"};
+
+int64_t period_of(std::string_view chip) {
+  const bool slow = std::any_of(slow_chips.begin(), slow_chips.end(),
+                                [&](std::string_view name) { return chip.starts_with(name); });
+  return slow ? ns_per_s : 100 * ns_per_ms;
+}
+
+struct Chip {
+  std::string path;
+  std::string name;    // as the driver says
+  std::string id;      // as in channel names
+  std::string device;  // last part of the device's path
+};
+
+std::vector<Chip> list_chips(const Root& root) {
+  std::vector<Chip> chips;
+  std::map<std::string, int> name_count;
+  for (const std::string& entry : root.list(class_dir)) {
+    Chip chip{fmt::format("{}/{}", class_dir, entry), {}, {}, entry};
+    std::optional<std::string> name = root.read_line(chip.path + "/name");
+    if (!name) name = root.read_line(chip.path + "/device/name");
+    if (!name) continue;
+    chip.name = *name;
+    chip.id = slug(*name);
+    const Root::Resolved device = root.resolve(chip.path + "/device");
+    if (device.error == 0) chip.device = device.path.substr(device.path.rfind('/') + 1);
+    ++name_count[chip.id];
+    chips.push_back(std::move(chip));
+  }
+  for (Chip& chip : chips)
+    if (name_count[chip.id] > 1) chip.id += '@' + slug(chip.device);
+  return chips;
+}
+
+// N of "<prefix>N_<item>".
+std::optional<int> item_number(std::string_view file, std::string_view prefix,
+                               std::string_view item) {
+  if (!file.starts_with(prefix)) return std::nullopt;
+  file.remove_prefix(prefix.size());
+  int number = 0;
+  const auto [stop, error] = std::from_chars(file.data(), file.data() + file.size(), number);
+  if (error != std::errc{}) return std::nullopt;
+  file.remove_prefix(static_cast<size_t>(stop - file.data()));
+  if (!file.starts_with('_') || file.substr(1) != item) return std::nullopt;
+  return number;
+}
+
+std::string label_of(const Root& root, const Chip& chip, const std::string& sensor) {
+  return slug(root.read_line(fmt::format("{}/{}_label", chip.path, sensor)).value_or(sensor));
+}
+
+// hwmon.<chip>.<label>.<suffix>, with the sensor's own name added where a chip repeats a label.
+std::string channel_name(const Chip& chip, const std::string& label, const std::string& sensor,
+                         std::string_view suffix, std::set<std::string>& taken) {
+  std::string name = fmt::format("hwmon.{}.{}.{}", chip.id, label, suffix);
+  if (!taken.insert(name).second) {
+    name = fmt::format("hwmon.{}.{}_{}.{}", chip.id, label, slug(sensor), suffix);
+    taken.insert(name);
+  }
+  return name;
+}
+
+// Power of supply rails as voltage times current, the two read one right after the other.
+class RailSource final : public SensorSource {
+ public:
+  struct Rail {
+    TextFile voltage_mv;
+    TextFile current_ma;
+  };
+  RailSource(int64_t period_ns, std::vector<Channel> channels, std::vector<Rail> rails)
+      : SensorSource("hwmon", period_ns, std::move(channels)), rails_(std::move(rails)) {}
+
+  void poll(std::span<Reading> out) noexcept override {
+    for (size_t i = 0; i < rails_.size(); ++i) {
+      const Reading voltage = rails_[i].voltage_mv.read_int();
+      const Reading current = rails_[i].current_ma.read_int();
+      Reading& power = out[i];
+      power.status = std::max(voltage.status, current.status);  // ok < retry < gone
+      power.t_ns = voltage.t_ns + (current.t_ns - voltage.t_ns) / 2;
+      if (power.status == PollStatus::ok &&
+          __builtin_mul_overflow(voltage.value, current.value, &power.value))
+        power.status = PollStatus::retry;
+    }
+  }
+
+ private:
+  std::vector<Rail> rails_;
+};
+
+// Rails of a chip: inN with currN. Returns how many were usable.
+size_t discover_rails(const Root& root, const Chip& chip, const std::vector<std::string>& files,
+                      std::set<std::string>& taken, Discovery& discovery) {
+  std::vector<Channel> channels;
+  std::vector<RailSource::Rail> rails;
+  for (const std::string& file : files) {
+    const std::optional<int> number = item_number(file, "curr", "input");
+    if (!number) continue;
+    const std::string sensor = fmt::format("in{}", *number);
+    const std::string label = label_of(root, chip, sensor);
+    if (label == "nc" || root.read_line(fmt::format("{}/{}_enable", chip.path, sensor)) == "0")
+      continue;  // not connected, or switched off
+    CheckedFile voltage = check_int_file(root, fmt::format("{}/{}_input", chip.path, sensor));
+    CheckedFile current = check_int_file(root, fmt::format("{}/{}", chip.path, file));
+    const std::string& problem = voltage.problem.empty() ? current.problem : voltage.problem;
+    if (!problem.empty()) {
+      discovery.missing.push_back({"hwmon", problem, ""});
+      continue;
+    }
+    Channel channel;
+    channel.name = channel_name(chip, label, sensor, "power", taken);
+    channel.quantity = Quantity::power;
+    channel.unit = Unit::microwatt;
+    channel.origin = fmt::format("{} (mV) x {} (mA)", voltage.file.path(), file);
+    channels.push_back(std::move(channel));
+    rails.push_back({std::move(voltage.file), std::move(current.file)});
+  }
+  const size_t rail_count = rails.size();
+  if (rail_count > 0)
+    discovery.sources.push_back(
+        std::make_unique<RailSource>(period_of(chip.name), std::move(channels), std::move(rails)));
+  return rail_count;
+}
+
+void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
+  const std::vector<std::string> files = root.list(chip.path);
+  const size_t missing_before = discovery.missing.size();
+  std::set<std::string> taken;
+  std::vector<FileChannel> rows;
+  bool has_power = false;
+  for (const std::string& file : files) {
+    for (const Item& item : items) {
+      const std::optional<int> number = item_number(file, item.prefix, item.item);
+      if (!number) continue;
+      const std::string sensor = fmt::format("{}{}", item.prefix, *number);
+      CheckedFile checked = check_int_file(root, fmt::format("{}/{}", chip.path, file));
+      if (!checked.problem.empty()) {
+        discovery.missing.push_back({"hwmon", checked.problem, ""});
+        continue;
+      }
+      Channel channel;
+      channel.name = channel_name(chip, label_of(root, chip, sensor), sensor, item.suffix, taken);
+      channel.quantity = item.quantity;
+      channel.unit = item.unit;
+      channel.kind = item.kind;
+      has_power = has_power || item.quantity == Quantity::power;
+      rows.push_back({std::move(channel), std::move(checked.file)});
+    }
+  }
+  size_t channel_count = rows.size();
+  add_file_source(discovery, "hwmon", period_of(chip.name), std::move(rows));
+  if (!has_power) channel_count += discover_rails(root, chip, files, taken, discovery);
+  if (channel_count == 0 && discovery.missing.size() == missing_before)
+    discovery.missing.push_back(
+        {"hwmon",
+         fmt::format("'{}' ({}) has no temperature, power, energy or clock to read",
+                     root.display(chip.path), chip.name),
+         ""});
+}
+
+}  // namespace
+
+void discover_hwmon(const Root& root, Discovery& discovery) {
+  const std::vector<Chip> chips = list_chips(root);
+  if (chips.empty())
+    discovery.missing.push_back(
+        {"hwmon",
+         fmt::format("no hardware monitoring chip in '{}'; usual in a virtual machine",
+                     root.display(class_dir)),
+         ""});
+  for (const Chip& chip : chips) discover_chip(root, chip, discovery);
+}
+
+}  // namespace energyprof::probe

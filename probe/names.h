@@ -1,0 +1,16 @@
+/// Names of channels and the order of numbered things.
+#pragma once
+
+#include <string>
+#include <string_view>
+
+namespace energyprof::probe {
+
+/// "Package id 0" -> "package_id_0": lower case; letters, digits, '-', ':' and '@' stay, every run
+/// of others becomes one '_', none at the ends. "unnamed" if nothing is left.
+std::string slug(std::string_view text);
+
+/// Whether `a` sorts before `b` when runs of digits compare as numbers: "cpu2" before "cpu12".
+bool natural_less(std::string_view a, std::string_view b);
+
+}  // namespace energyprof::probe

@@ -1,0 +1,102 @@
+// Expects in proc/pressure/{cpu,memory,io}:
+//
+//   some avg10=0.00 avg60=0.00 avg300=0.00 total=15
+//   full avg10=0.00 avg60=0.00 avg300=0.00 total=25
+#include "probe/psi.h"
+
+#include <fmt/format.h>
+
+#include <array>
+#include <cerrno>
+#include <charconv>
+#include <utility>
+
+#include "core/clock.h"
+#include "probe/text_file.h"
+
+namespace energyprof::probe {
+namespace {
+
+// total= of the line that starts with `kind`.
+std::optional<int64_t> stall_us(std::string_view text, std::string_view kind) {
+  const size_t line = text.starts_with(kind) ? 0 : text.find('\n') + 1;
+  if (!text.substr(std::min(line, text.size())).starts_with(kind)) return std::nullopt;
+  constexpr std::string_view key = "total=";
+  const size_t at = text.find(key, line);
+  if (at == std::string_view::npos) return std::nullopt;
+  int64_t value = 0;
+  const char* const end = text.data() + text.size();
+  const auto [stop, error] = std::from_chars(text.data() + at + key.size(), end, value);
+  if (error != std::errc{}) return std::nullopt;
+  return value;
+}
+
+struct Resource {
+  TextFile file;
+  std::vector<std::string> kinds;  // "some", "full"
+};
+
+class PsiSource final : public SensorSource {
+ public:
+  PsiSource(std::vector<Channel> channels, std::vector<Resource> resources)
+      : SensorSource("psi", 10 * ns_per_ms, std::move(channels)),
+        resources_(std::move(resources)) {}
+
+  void poll(std::span<Reading> out) noexcept override {
+    size_t next = 0;
+    for (Resource& resource : resources_) {
+      std::array<char, 256> buffer;
+      const TextFile::Read read = resource.file.read(buffer);
+      for (const std::string& kind : resource.kinds) {
+        const std::optional<int64_t> value = stall_us(read.text, kind);
+        const PollStatus status =
+            read.error == 0 && !value ? PollStatus::retry : status_of(read.error);
+        out[next++] = {status, read.t_ns, value.value_or(0)};
+      }
+    }
+  }
+
+ private:
+  std::vector<Resource> resources_;
+};
+
+}  // namespace
+
+void discover_psi(const Root& root, Discovery& discovery) {
+  std::vector<Channel> channels;
+  std::vector<Resource> resources;
+  for (const std::string_view name : {"cpu", "memory", "io"}) {
+    const std::string path = fmt::format("proc/pressure/{}", name);
+    const Root::Text text = root.read(path);
+    if (!text.text) {
+      // EOPNOTSUPP: compiled in, but off.
+      discovery.missing.push_back(
+          {"psi", fmt::format("cannot read '{}': {}", root.display(path), errno_text(text.error)),
+           text.error == EOPNOTSUPP ? "boot with psi=1 on the kernel command line" : ""});
+      continue;
+    }
+    Resource resource{TextFile(root, path), {}};
+    for (const std::string kind : {"some", "full"}) {
+      // All tasks of a whole machine never wait for CPU at once: cpu.full is always 0.
+      if ((name == "cpu" && kind == "full") || !stall_us(*text.text, kind)) continue;
+      Channel channel;
+      channel.name = fmt::format("psi.{}.{}", name, kind);
+      channel.quantity = Quantity::interference;
+      channel.unit = Unit::microsecond;
+      channel.kind = Kind::cumulative;
+      channel.origin = fmt::format("{}: {} total", resource.file.path(), kind);
+      channels.push_back(std::move(channel));
+      resource.kinds.push_back(kind);
+    }
+    if (resource.kinds.empty())
+      discovery.missing.push_back(
+          {"psi", fmt::format("'{}' has no line with 'total='", resource.file.path()), ""});
+    else
+      resources.push_back(std::move(resource));
+  }
+  if (!channels.empty())
+    discovery.sources.push_back(
+        std::make_unique<PsiSource>(std::move(channels), std::move(resources)));
+}
+
+}  // namespace energyprof::probe

@@ -1,0 +1,68 @@
+/// What a sensor is to the sampler: channels, a period, poll(). The only interface of this folder.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "core/record.h"
+
+namespace energyprof::probe {
+
+enum class PollStatus : uint8_t {
+  ok,     ///< a value
+  retry,  ///< no value this time: busy, asleep, half-written
+  gone,   ///< there will never be one again: the device or file went away
+};
+
+/// One channel's answer to one poll.
+struct Reading {
+  PollStatus status = PollStatus::retry;
+  int64_t t_ns = 0;   ///< midpoint of two clock reads around the read
+  int64_t value = 0;  ///< in Channel::unit; meaningful when status is ok
+};
+
+/// Channels that are read together, at one period.
+class SensorSource {
+ public:
+  /// `name` becomes Channel::source and `period_ns` Channel::period_ns of every channel.
+  SensorSource(std::string name, int64_t period_ns, std::vector<Channel> channels);
+  virtual ~SensorSource() = default;
+  SensorSource(const SensorSource&) = delete;
+  SensorSource& operator=(const SensorSource&) = delete;
+
+  [[nodiscard]] std::string_view name() const { return name_; }
+  /// How often reading makes sense: faster gives repeated values or costs too much.
+  [[nodiscard]] int64_t period_ns() const { return period_ns_; }
+  [[nodiscard]] std::span<const Channel> channels() const { return channels_; }
+  /// For discover() and characterize(), which fill in ids, unique names and costs.
+  [[nodiscard]] std::span<Channel> channels() { return channels_; }
+
+  /// Reads every channel once; `out` has one Reading per channel, in their order.
+  /// Called on the sampler's thread: no allocation, no exception. A channel that is gone stays gone
+  /// and costs no system call any more.
+  virtual void poll(std::span<Reading> out) noexcept = 0;
+
+ private:
+  std::string name_;
+  int64_t period_ns_;
+  std::vector<Channel> channels_;
+};
+
+/// Something that cannot be sensed here.
+struct Missing {
+  std::string source;  ///< "powercap"
+  std::string reason;  ///< why, in words
+  std::string fix;     ///< the exact command that would change it; empty: there is none
+};
+
+/// What can be sensed here, and what cannot.
+struct Discovery {
+  std::vector<std::unique_ptr<SensorSource>> sources;
+  std::vector<Missing> missing;
+};
+
+}  // namespace energyprof::probe

@@ -1,0 +1,139 @@
+#include "probe/text_file.h"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <array>
+#include <cerrno>
+#include <charconv>
+#include <system_error>
+#include <utility>
+
+#include "core/clock.h"
+
+namespace energyprof::probe {
+namespace {
+
+constexpr std::string_view white_space = " \t\r\n";
+
+std::string_view trim(std::string_view text) {
+  const size_t begin = text.find_first_not_of(white_space);
+  if (begin == std::string_view::npos) return {};
+  return text.substr(begin, text.find_last_not_of(white_space) - begin + 1);
+}
+
+bool is_transient(int error) {
+  return error == EAGAIN || error == EBUSY || error == ETIMEDOUT || error == EINTR;
+}
+
+}  // namespace
+
+PollStatus status_of(int error) {
+  switch (error) {
+    case 0:
+      return PollStatus::ok;
+    case ENOENT:
+    case ENODEV:
+    case ENXIO:
+    case ENOTDIR:
+    case ESTALE:
+      return PollStatus::gone;
+    default:
+      return PollStatus::retry;
+  }
+}
+
+std::optional<int64_t> parse_int(std::string_view text) {
+  const std::string_view digits = trim(text);
+  int64_t value = 0;
+  const char* const end = digits.data() + digits.size();
+  const auto [stop, error] = std::from_chars(digits.data(), end, value);
+  if (digits.empty() || error != std::errc{} || stop != end) return std::nullopt;
+  return value;
+}
+
+std::optional<int64_t> find_int(std::string_view text, std::string_view key) {
+  while (!text.empty()) {
+    const size_t end = std::min(text.find('\n'), text.size());
+    const std::string_view line = text.substr(0, end);
+    if (line.starts_with(key) && line.size() > key.size() && line[key.size()] == ' ')
+      return parse_int(line.substr(key.size()));
+    text.remove_prefix(std::min(end + 1, text.size()));
+  }
+  return std::nullopt;
+}
+
+TextFile::TextFile(const Root& root, std::string_view path)
+    : display_path_(root.display(path)), reopen_(!root.is_host()) {
+  Root::Resolved resolved = root.resolve(path);
+  final_error_ = resolved.error;
+  host_path_ = std::move(resolved.path);
+  if (final_error_ == 0) final_error_ = root.read_error(host_path_);
+}
+
+TextFile::~TextFile() {
+  if (fd_ >= 0) close(fd_);
+}
+
+TextFile::TextFile(TextFile&& other) noexcept
+    : display_path_(std::move(other.display_path_)),
+      host_path_(std::move(other.host_path_)),
+      reopen_(other.reopen_),
+      fd_(std::exchange(other.fd_, -1)),
+      final_error_(other.final_error_) {}
+
+TextFile::Read TextFile::read(std::span<char> buffer) noexcept {
+  const int64_t before_ns = now_ns();
+  if (final_error_ != 0) return {{}, before_ns, final_error_};
+  int error = 0;
+  ssize_t got = 0;
+  // O_NOFOLLOW: all links were followed inside the root already; a new one could lead out of it.
+  if (fd_ < 0) fd_ = open(host_path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW);
+  if (fd_ < 0) {
+    error = errno;
+  } else {
+    got = pread(fd_, buffer.data(), buffer.size(), 0);
+    if (got < 0) error = errno;
+  }
+  const int64_t after_ns = now_ns();
+  if (fd_ >= 0 && (reopen_ || status_of(error) == PollStatus::gone)) close(std::exchange(fd_, -1));
+  if (status_of(error) == PollStatus::gone) final_error_ = error;
+  const size_t byte_count = got > 0 ? static_cast<size_t>(got) : 0;
+  return {{buffer.data(), byte_count}, before_ns + (after_ns - before_ns) / 2, error};
+}
+
+Reading TextFile::read_int() noexcept {
+  std::array<char, 64> buffer;
+  const Read read = this->read(buffer);
+  if (read.error != 0) return {status_of(read.error), read.t_ns, 0};
+  const std::optional<int64_t> value = parse_int(read.text);
+  return {value ? PollStatus::ok : PollStatus::retry, read.t_ns, value.value_or(0)};
+}
+
+CheckedFile check_int_file(const Root& root, std::string_view path) {
+  CheckedFile checked{TextFile(root, path), std::nullopt, 0, {}};
+  std::array<char, 64> buffer{};
+  const TextFile::Read read = checked.file.read(buffer);
+  checked.error = read.error;
+  if (read.error != 0) {
+    if (!is_transient(read.error))
+      checked.problem =
+          fmt::format("cannot read '{}': {}", checked.file.path(), errno_text(read.error));
+    return checked;
+  }
+  checked.value = parse_int(read.text);
+  if (checked.value) return checked;
+  const std::string_view text = trim(read.text);
+  if (text.empty())
+    checked.problem = fmt::format("'{}' is empty", checked.file.path());
+  else if (text.find_first_not_of("0123456789") == std::string_view::npos)
+    checked.problem =
+        fmt::format("'{}' holds {}, more than 63 bits can", checked.file.path(), text);
+  else
+    checked.problem = fmt::format("'{}' holds '{}', which is no integer", checked.file.path(),
+                                  text.substr(0, text.find('\n')));
+  return checked;
+}
+
+}  // namespace energyprof::probe

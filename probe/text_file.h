@@ -1,0 +1,67 @@
+/// Small kernel text files that are read again and again, and what their errors mean.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+
+#include "probe/root.h"
+#include "probe/source.h"
+
+namespace energyprof::probe {
+
+/// What a failed read means for its channel: `gone` for ENOENT, ENODEV, ENXIO, ENOTDIR and ESTALE;
+/// `retry` for all others, which come and go (EAGAIN, EBUSY, ETIMEDOUT, ENODATA, EPERM of a
+/// sleeping device, EIO of a bus, ...). 0 is ok.
+PollStatus status_of(int error);
+
+/// The integer that is all of `text`, but for white space around it. nullopt for anything else,
+/// numbers beyond 64 bits with sign included.
+std::optional<int64_t> parse_int(std::string_view text);
+
+/// The integer after `key` at the start of a line ("nr_throttled 2"); nullopt without such a line.
+std::optional<int64_t> find_int(std::string_view text, std::string_view key);
+
+/// One file, opened once and read from its start each time, as sysfs wants it. Below a --root it is
+/// opened at every read, so that files replaced while a run goes on are followed.
+class TextFile {
+ public:
+  /// Never fails; a file that cannot be opened says so at each read().
+  TextFile(const Root& root, std::string_view path);
+  ~TextFile();
+  TextFile(TextFile&& other) noexcept;
+  TextFile& operator=(TextFile&&) = delete;
+
+  struct Read {
+    std::string_view text;  ///< lies in the caller's buffer
+    int64_t t_ns = 0;       ///< midpoint of the clock before and after the read
+    int error = 0;          ///< errno
+  };
+  /// Reads as much as fits. An error that means `gone` is final: later calls repeat it at no cost.
+  Read read(std::span<char> buffer) noexcept;
+  /// Reads one integer. Text that is none (empty, half-written) is `retry`.
+  Reading read_int() noexcept;
+
+  /// As a person would write it.
+  [[nodiscard]] const std::string& path() const { return display_path_; }
+
+ private:
+  std::string display_path_;
+  std::string host_path_;
+  bool reopen_;
+  int fd_ = -1;
+  int final_error_ = 0;
+};
+
+/// A file that should hold one integer, after its first read.
+struct CheckedFile {
+  TextFile file;
+  std::optional<int64_t> value;  ///< absent also when the sensor was only busy or asleep
+  int error = 0;                 ///< errno of the first read
+  std::string problem;           ///< why it is no use as a channel, in words; empty: it is
+};
+CheckedFile check_int_file(const Root& root, std::string_view path);
+
+}  // namespace energyprof::probe

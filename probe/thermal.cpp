@@ -1,0 +1,118 @@
+// Expects:
+//
+//   sys/class/thermal/thermal_zone3/{type,temp}                          x86_pkg_temp, 53000
+//   sys/class/thermal/cooling_device0/{type,cur_state,max_state}         Processor, 0, 3
+#include "probe/thermal.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <map>
+#include <utility>
+
+#include "core/clock.h"
+#include "probe/file_source.h"
+#include "probe/names.h"
+
+namespace energyprof::probe {
+namespace {
+
+constexpr std::string_view class_dir = "sys/class/thermal";
+constexpr int64_t fast_period_ns = 100 * ns_per_ms;
+constexpr int64_t acpi_period_ns = 5 * ns_per_s;  // acpitz: every read runs firmware code
+constexpr int64_t lowest_mc = -40'000;
+constexpr int64_t highest_mc = 200'000;
+
+struct Device {
+  std::string path;
+  std::string type;  // as the kernel says
+  std::string id;    // as in channel names
+};
+
+// Devices called <prefix>N, numbered within their type where it repeats.
+std::vector<Device> list_devices(const Root& root, std::string_view prefix) {
+  std::vector<Device> devices;
+  std::map<std::string, int> type_count;
+  for (const std::string& entry : root.list(class_dir)) {
+    if (!entry.starts_with(prefix)) continue;
+    Device device{fmt::format("{}/{}", class_dir, entry), {}, {}};
+    device.type = root.read_line(device.path + "/type").value_or(entry);
+    device.id = slug(device.type);
+    ++type_count[device.id];
+    devices.push_back(std::move(device));
+  }
+  std::map<std::string, int> next;
+  for (Device& device : devices)
+    if (type_count[device.id] > 1) device.id += fmt::format("-{}", next[device.id]++);
+  return devices;
+}
+
+size_t discover_zones(const Root& root, Discovery& discovery) {
+  const std::vector<Device> zones = list_devices(root, "thermal_zone");
+  std::vector<FileChannel> fast;
+  std::vector<FileChannel> slow;
+  for (const Device& zone : zones) {
+    CheckedFile temp = check_int_file(root, zone.path + "/temp");
+    std::string problem = temp.problem;
+    if (zone.type == "INT3400 Thermal")
+      problem = fmt::format("'{}' ({}) is a policy, not a sensor: its reading is a constant",
+                            temp.file.path(), zone.type);
+    else if (temp.value && (*temp.value < lowest_mc || *temp.value > highest_mc))
+      problem = fmt::format("'{}' ({}) reads {} C: it is not measuring", temp.file.path(),
+                            zone.type, static_cast<double>(*temp.value) / 1000.0);
+    if (!problem.empty()) {
+      discovery.missing.push_back({"thermal", std::move(problem), ""});
+      continue;
+    }
+    Channel channel;
+    channel.name = fmt::format("thermal.{}.temp", zone.id);
+    channel.quantity = Quantity::temperature;
+    channel.unit = Unit::millicelsius;
+    (zone.type == "acpitz" ? slow : fast).push_back({std::move(channel), std::move(temp.file)});
+  }
+  add_file_source(discovery, "thermal", fast_period_ns, std::move(fast));
+  add_file_source(discovery, "thermal", acpi_period_ns, std::move(slow));
+  return zones.size();
+}
+
+// Cooling devices that do not slow a processor down: fans and displays; and settings, which stay
+// above 0 while nothing is throttled.
+bool throttles(const std::string& id) {
+  constexpr std::array<std::string_view, 5> others{"fan", "lcd", "backlight", "tcc_offset",
+                                                   "charger"};
+  return std::none_of(others.begin(), others.end(),
+                      [&](std::string_view other) { return id.find(other) != std::string::npos; });
+}
+
+void discover_cooling(const Root& root, Discovery& discovery) {
+  std::vector<FileChannel> rows;
+  for (const Device& device : list_devices(root, "cooling_device")) {
+    const CheckedFile highest = check_int_file(root, device.path + "/max_state");
+    if (!throttles(device.id) || !highest.value || *highest.value <= 0) continue;
+    CheckedFile state = check_int_file(root, device.path + "/cur_state");
+    if (!state.problem.empty()) {
+      discovery.missing.push_back({"thermal", state.problem, ""});
+      continue;
+    }
+    Channel channel;
+    channel.name = fmt::format("thermal.cooling.{}.state", device.id);
+    channel.quantity = Quantity::throttle;
+    channel.unit = Unit::count;
+    rows.push_back({std::move(channel), std::move(state.file)});
+  }
+  add_file_source(discovery, "thermal", fast_period_ns, std::move(rows));
+}
+
+}  // namespace
+
+void discover_thermal(const Root& root, Discovery& discovery) {
+  if (discover_zones(root, discovery) == 0)
+    discovery.missing.push_back({"thermal",
+                                 fmt::format("no thermal zone in '{}'; usual in a virtual machine",
+                                             root.display(class_dir)),
+                                 ""});
+  discover_cooling(root, discovery);
+}
+
+}  // namespace energyprof::probe

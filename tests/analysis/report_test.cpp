@@ -1,0 +1,249 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <nlohmann/json.hpp>
+#include <sstream>
+
+#include "analysis/report_html.h"
+#include "analysis/report_json.h"
+#include "analysis/report_md.h"
+#include "planted_run.h"
+
+namespace energyprof::analysis {
+namespace {
+
+using nlohmann::json;
+using planted::RunBuilder;
+using testing::HasSubstr;
+using testing::Not;
+
+json json_of(const RunRecord& run) { return report_json(run, analyze(run)); }
+std::string md_of(const RunRecord& run) { return report_md(run, analyze(run)); }
+std::string html_of(const RunRecord& run, const std::vector<ReportImage>& images = {}) {
+  return report_html(run, analyze(run), images);
+}
+
+json data_of(const std::string& page) {
+  const std::string open = R"(<script type="application/json" id="data">)";
+  const std::size_t begin = page.find(open) + open.size();
+  return json::parse(page.substr(begin, page.find("</script>", begin) - begin));
+}
+
+void expect_fields(const json& object, const std::vector<const char*>& names) {
+  ASSERT_TRUE(object.is_object()) << object;
+  for (const char* name : names) EXPECT_TRUE(object.contains(name)) << name << " in " << object;
+}
+
+TEST(ReportJson, HasEveryPromisedField) {
+  const json report = json_of(planted::laptop_run());
+  EXPECT_EQ(report.at("schema_version"), 1);
+  EXPECT_TRUE(report.at("run").is_object());
+  EXPECT_EQ(report.at("device").at("name"), "Iris Xe, planted");
+  expect_fields(report.at("sensors").at(0), {"name", "quantity", "unit", "period_ns", "samples", "status"});
+  expect_fields(report.at("ranking").at(0),
+                {"algorithm", "score_ms", "normalized", "rank", "truncated_mean_ms", "stddev_ms"});
+  expect_fields(report.at("cells").at(0), {"model", "view", "algorithm", "frames", "median_ms",
+                                           "truncated_mean_ms", "stddev_ms", "outlier_count", "mrays_per_s"});
+  expect_fields(report.at("energy").at(0),
+                {"algorithm", "model", "frames", "joules_per_frame", "nj_per_ray", "edp_js", "idle_w",
+                 "gross_joules_per_frame", "channel", "refused"});
+  expect_fields(report.at("energy").at(0).at("joules_per_frame"), {"value", "low", "high"});
+  expect_fields(report.at("outliers").at(0), {"frame_id", "model", "view", "algorithm", "ratio",
+                                              "excess_ms", "cause", "confidence", "evidence"});
+  EXPECT_TRUE(report.at("warnings").is_array());
+  EXPECT_EQ(report.at("correlations"), json::array());
+  EXPECT_EQ(report.at("factors"), json::array());
+  EXPECT_TRUE(report.at("coincidence").is_null());
+}
+
+TEST(ReportJson, NumbersAreThoseOfTheAnalysis) {
+  const RunRecord run = planted::laptop_run();
+  const Analysis analysis = analyze(run);
+  const json report = report_json(run, analysis);
+  EXPECT_EQ(report.at("cells").size(), 12u);
+  EXPECT_EQ(report.at("ranking").at(1).at("normalized"), analysis.ranking[1].normalized);
+  EXPECT_EQ(report.at("outliers").size(), analysis.outliers.size());
+  EXPECT_EQ(report.at("missing_sensors").at(0).at("fix"), "sysctl kernel.perf_event_paranoid=1");
+  EXPECT_TRUE(report.at("missing_sensors").at(1).at("fix").is_null());
+}
+
+TEST(ReportJson, UnknownIsNull) {
+  RunBuilder builder;
+  builder.add_trial("m", 0, "A", {1});
+  builder.run.frames[0].ray_count.reset();
+  const json report = json_of(builder.run);
+  const json& cell = report.at("cells").at(0);
+  for (const char* name : {"stddev_ms", "mrays_per_s", "hit_ratio", "median_low_ms", "checksums_agree"})
+    EXPECT_TRUE(cell.at(name).is_null()) << name;
+  EXPECT_TRUE(report.at("run").at("name").is_null());
+  EXPECT_TRUE(report.at("energy").at(0).at("joules_per_frame").at("value").is_null());
+}
+
+TEST(ReportMd, SaysWhatAReaderNeeds) {
+  const std::string page = md_of(planted::laptop_run());
+  EXPECT_THAT(page, HasSubstr("# energyprof: dragon"));
+  EXPECT_THAT(page, HasSubstr("> **SIMULATED**"));
+  EXPECT_THAT(page, HasSubstr("| 1 | GRID |"));
+  EXPECT_THAT(page, HasSubstr("perf_event_paranoid is 3"));
+  EXPECT_THAT(page, HasSubstr("rose by"));
+  EXPECT_THAT(page, HasSubstr("of one core"));
+  EXPECT_THAT(page, HasSubstr("refused: "));
+}
+
+TEST(ReportMd, TablesKeepTheirColumns) {
+  const std::string page = md_of(planted::laptop_run());
+  std::istringstream lines(page);
+  std::string line;
+  long columns = 0;
+  while (std::getline(lines, line)) {
+    if (line.empty() || line[0] != '|') {
+      columns = 0;
+      continue;
+    }
+    long bars = 0;
+    for (std::size_t i = 0; i < line.size(); ++i) bars += line[i] == '|' && line[i - (i > 0)] != '\\';
+    if (columns != 0) {
+      EXPECT_EQ(bars, columns) << line;
+    }
+    columns = bars;
+  }
+}
+
+TEST(ReportMd, TextFromOutsideIsNeverMarkup) {
+  EXPECT_THAT(md_of(planted::laptop_run()), Not(HasSubstr("<b>")));
+}
+
+TEST(ReportHtml, LoadsNothing) {
+  const std::string page = html_of(planted::laptop_run());
+  for (const char* load : {"src=\"http", "src='http", "src=http", "href=\"http", "href='http", "src=\"//",
+                           "href=\"//", "url(http", "url(\"http", "@import", "<link rel=\"stylesheet"})
+    EXPECT_THAT(page, Not(HasSubstr(load)));
+  EXPECT_THAT(page, HasSubstr("default-src 'none'"));
+}
+
+TEST(ReportHtml, HoldsTheReport) {
+  const RunRecord run = planted::laptop_run();
+  const json data = data_of(html_of(run));
+  EXPECT_EQ(data.at("report"), json_of(run));
+  ASSERT_EQ(data.at("frames").size(), 12u);
+  EXPECT_EQ(data.at("frames").at(0).size(), 40u);
+  EXPECT_EQ(data.at("sensor_rows").size(), 6u);
+  EXPECT_EQ(data.at("tracks").size(), 4u) << "power, frequency, temperature, throttle";
+  EXPECT_EQ(data.at("not_drawn").at("constant"), json({"rapl.package-0.limit.long_term"}));
+}
+
+TEST(ReportHtml, FillsTheWholePage) {
+  const std::string page = html_of(planted::laptop_run());
+  for (const char* name : {"{{title}}", "{{style}}", "{{data}}", "{{echarts}}", "{{script}}", "{{licences}}"})
+    EXPECT_THAT(page, Not(HasSubstr(name)));
+  EXPECT_THAT(page, HasSubstr("Licensed to the Apache Software Foundation"));
+  EXPECT_THAT(page, HasSubstr("Baidu Inc."));
+}
+
+std::size_t count_of(const std::string& text, const std::string& part) {
+  std::size_t count = 0;
+  for (std::size_t at = text.find(part); at != text.npos; at = text.find(part, at + 1)) ++count;
+  return count;
+}
+
+TEST(ReportHtml, HostileNamesStayText) {
+  RunRecord run = planted::laptop_run();
+  run.meta["name"] = "<img src=x onerror=alert(1)> {{data}}";
+  const std::string page = html_of(run);
+  EXPECT_THAT(page, Not(HasSubstr("<img src=x")));
+  EXPECT_THAT(page, Not(HasSubstr("</script><b>")));
+  EXPECT_EQ(count_of(page, "</script>"), 3u) << "data, ECharts and our own script";
+  EXPECT_EQ(data_of(page).at("report").at("cells").at(6).at("model"), "teapot </script><b>");
+}
+
+TEST(ReportHtml, ImagesAreEmbedded) {
+  // RFC 4648, section 10: "foobar" is Zm9vYmFy, "fooba" is Zm9vYmE=, "foob" is Zm9vYg==.
+  const json data = data_of(html_of({}, {{"a", "foobar"}, {"b", "fooba"}, {"c", "foob"}}));
+  ASSERT_EQ(data.at("images").size(), 3u);
+  EXPECT_EQ(data.at("images").at(0).at("src"), "data:image/png;base64,Zm9vYmFy");
+  EXPECT_EQ(data.at("images").at(1).at("src"), "data:image/png;base64,Zm9vYmE=");
+  EXPECT_EQ(data.at("images").at(2).at("src"), "data:image/png;base64,Zm9vYg==");
+  EXPECT_EQ(data.at("images").at(0).at("title"), "a");
+}
+
+TEST(ReportHtml, TooManyImagesAreCounted) {
+  const std::string big(2 * 1024 * 1024, 'x');
+  const json data = data_of(html_of({}, {{"a", big}, {"b", big}}));
+  EXPECT_EQ(data.at("images").size(), 1u);
+  EXPECT_EQ(data.at("images_left_out"), 1);
+}
+
+TEST(ReportHtml, ABigRunStaysSmallAndKeepsItsPeaks) {
+  RunBuilder builder;
+  std::vector<double> times_ms(120'000, 1.0);
+  times_ms[55'555] = 300;
+  builder.add_trial("m", 0, "A", times_ms);
+  for (int channel = 0; channel < 20; ++channel)
+    builder.add_channel("x.power" + std::to_string(channel), Quantity::power, Unit::milliwatt, Kind::gauge,
+                        1'000'000, 50'000, [channel](std::size_t i) {
+                          return i == 12'345 ? 987'654.0 : static_cast<double>((i * 37 + static_cast<std::size_t>(channel)) % 1000);
+                        });
+  builder.close();
+  const std::string page = html_of(builder.run);
+  EXPECT_LT(page.size(), 6u * 1024 * 1024);
+  const json data = data_of(page);
+  const auto highest = [](const json& points, std::size_t at) {
+    double high = 0;
+    for (const json& point : points) high = std::max(high, point.at(at).get<double>());
+    return high;
+  };
+  EXPECT_LE(data.at("frames").at(0).size(), 40'000u);
+  EXPECT_DOUBLE_EQ(highest(data.at("frames").at(0), 1), 300);
+  const json& channels = data.at("tracks").at(0).at("channels");
+  ASSERT_EQ(channels.size(), 20u);
+  for (const json& channel : channels) {
+    EXPECT_LE(channel.at("value").size(), 2'000u);
+    // 987,654 mW on an axis in W.
+    EXPECT_NEAR(*std::max_element(channel.at("value").begin(), channel.at("value").end()), 987.654, 1e-3);
+  }
+}
+
+TEST(Reports, SayWhatKindOfRunItIs) {
+  RunBuilder builder;
+  builder.add_trial("m", 0, "A", {1, 2, 3});
+  builder.close();
+  builder.run.meta["interrupted"] = "1";
+  builder.run.meta["quick"] = "1";
+  EXPECT_EQ(json_of(builder.run).at("run").at("ending"), "interrupted");
+  EXPECT_THAT(md_of(builder.run), HasSubstr("> **INTERRUPTED**"));
+  EXPECT_THAT(md_of(builder.run), HasSubstr("> **QUICK**"));
+  const json flags = data_of(html_of(builder.run)).at("report").at("run").at("flags");
+  ASSERT_EQ(flags.size(), 2u);
+  EXPECT_EQ(flags.at(0).at("label"), "QUICK");
+}
+
+TEST(Reports, OfAnEmptyRunExist) {
+  EXPECT_EQ(json_of({}).at("cells"), json::array());
+  EXPECT_THAT(md_of({}), HasSubstr("No timed frame was recorded"));
+  EXPECT_EQ(data_of(html_of({})).at("tracks"), json::array());
+}
+
+TEST(Reports, OfAForeignRunExist) {
+  // Another tool: frames without rays, an unknown unit, no meta at all.
+  RunBuilder builder;
+  builder.run.meta.clear();
+  builder.add_trial("scene", 0, "tracer", {5, 6, 7, 8});
+  for (FrameRecord& frame : builder.run.frames) {
+    frame.ray_count.reset();
+    frame.hit_count.reset();
+    frame.clock_error_ns.reset();
+    frame.hit_checksum.clear();
+  }
+  Channel& channel = builder.add_channel("meter.current", Quantity::power, Unit::none, Kind::gauge,
+                                         1'000'000, 5, [](std::size_t i) { return 0.5 + static_cast<double>(i); });
+  channel.unit_text = "furlong";
+  const json report = json_of(builder.run);
+  EXPECT_EQ(report.at("sensors").at(0).at("unit"), "furlong");
+  EXPECT_EQ(report.at("device"), json::object());
+  EXPECT_THAT(md_of(builder.run), HasSubstr("furlong"));
+  EXPECT_EQ(data_of(html_of(builder.run)).at("tracks").at(0).at("unit"), "furlong");
+}
+
+}  // namespace
+}  // namespace energyprof::analysis

@@ -1,0 +1,266 @@
+// run.sqlite: what goes in comes out; kills, full disks, foreign and broken files.
+#include "core/run_db.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sqlite3.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <csignal>
+#include <fstream>
+#include <thread>
+
+#include "core/clock.h"
+
+namespace energyprof {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::HasSubstr;
+
+class RunDb : public testing::Test {
+ protected:
+  RunDb() {
+    std::string pattern = (fs::temp_directory_path() / "energyprof_run_db_XXXXXX").string();
+    dir_ = mkdtemp(pattern.data());
+  }
+  ~RunDb() override { fs::remove_all(dir_); }
+
+  [[nodiscard]] fs::path file() const { return dir_ / "run.sqlite"; }
+
+  void execute(const std::string& sql) const {
+    sqlite3* db = nullptr;
+    ASSERT_EQ(sqlite3_open(file().c_str(), &db), SQLITE_OK);
+    char* why = nullptr;
+    EXPECT_EQ(sqlite3_exec(db, sql.c_str(), nullptr, nullptr, &why), SQLITE_OK) << why;
+    sqlite3_close(db);
+  }
+
+  [[nodiscard]] std::string read_error() const {
+    try {
+      read_run(dir_);
+    } catch (const std::runtime_error& error) {
+      return error.what();
+    }
+    return "no error";
+  }
+
+  fs::path dir_;
+};
+
+Channel example_channel() {
+  Channel c;
+  c.id = 1;
+  c.name = "rapl.package-0.energy";
+  c.source = "powercap";
+  c.quantity = Quantity::energy;
+  c.unit = Unit::microjoule;
+  c.kind = Kind::cumulative;
+  c.wrap_at = 262143328850;
+  c.period_ns = 1'000'000;
+  c.read_cost_ns = 700;
+  c.origin = "/sys/class/powercap/intel-rapl:0/energy_uj";
+  return c;
+}
+
+TEST_F(RunDb, WhatGoesInComesOut) {
+  {
+    RunWriter writer(file());
+    writer.set_meta("config", "{}");
+    writer.add_channel(example_channel());
+    const Sample samples[] = {{1, 100, 262143328850}, {1, 200, 5}};
+    writer.add_samples(samples);
+    Trial trial;
+    trial.id = 1;
+    trial.model = "teapot";
+    trial.view = 2;
+    trial.algorithm = "BVH_FTB_DF";
+    trial.begin_ns = 50;
+    writer.put_trial(trial);
+    trial.end_ns = 500;
+    trial.skip_reason = "device lost";
+    trial.sah_cost = 12.5;
+    writer.put_trial(trial);  // replaces
+    FrameRecord frame;
+    frame.id = 7;
+    frame.trial_id = 1;
+    frame.frame = 3;
+    frame.phase = Phase::counted;
+    frame.submit_ns = 99;
+    frame.begin_ns = 100;
+    frame.end_ns = 200;
+    frame.ray_count = 4;
+    frame.hit_checksum = "00ff00ff00ff00ff";
+    frame.node_visit_count = 17;
+    writer.add_frame(frame);
+    writer.add_event({150, std::nullopt, Severity::warning, "sensor-gone", 1, "went away"});
+    writer.close();
+  }
+  EXPECT_FALSE(fs::exists(dir_ / "run.sqlite-wal"));
+  const RunRecord run = read_run(dir_);
+  EXPECT_EQ(run.meta.at("config"), "{}");
+  EXPECT_EQ(run.meta.at("schema_version"), std::to_string(schema_version));
+  ASSERT_EQ(run.channels.size(), 1u);
+  EXPECT_EQ(run.channels[0].unit, Unit::microjoule);
+  EXPECT_EQ(run.channels[0].unit_text, "uJ");
+  EXPECT_EQ(run.channels[0].wrap_at, 262143328850);
+  EXPECT_EQ(run.series.at(1).t_ns, (std::vector<int64_t>{100, 200}));
+  EXPECT_EQ(run.series.at(1).value, (std::vector<double>{262143328850.0, 5.0}));
+  ASSERT_EQ(run.trials.size(), 1u);
+  EXPECT_EQ(run.trials[0].end_ns, 500);
+  EXPECT_EQ(run.trials[0].skip_reason, "device lost");
+  EXPECT_EQ(run.trials[0].sah_cost, 12.5);
+  EXPECT_EQ(run.trials[0].build_ns, std::nullopt);
+  ASSERT_EQ(run.frames.size(), 1u);
+  EXPECT_EQ(run.frames[0].phase, Phase::counted);
+  EXPECT_EQ(run.frames[0].hit_checksum, "00ff00ff00ff00ff");
+  EXPECT_EQ(run.frames[0].hit_count, std::nullopt);
+  EXPECT_EQ(run.frames[0].node_visit_count, 17);
+  ASSERT_EQ(run.events.size(), 1u);
+  EXPECT_EQ(run.events[0].channel_id, 1);
+  EXPECT_EQ(run.events[0].severity, Severity::warning);
+}
+
+TEST_F(RunDb, CarriesItsApplicationId) {
+  RunWriter(file()).close();
+  std::ifstream in(file(), std::ios::binary);
+  in.seekg(68);  // application_id in SQLite's file header, big-endian
+  char id[4];
+  in.read(id, 4);
+  EXPECT_EQ(std::string(id, 4), "EPrf");
+}
+
+TEST_F(RunDb, NeverOverwrites) {
+  RunWriter(file()).close();
+  EXPECT_THROW(RunWriter{file()}, std::runtime_error);
+}
+
+TEST_F(RunDb, UnwritableFolderIsNamed) {
+  try {
+    RunWriter writer(dir_ / "not" / "there" / "run.sqlite");
+    FAIL() << "was created";
+  } catch (const std::runtime_error& error) {
+    EXPECT_THAT(error.what(), HasSubstr("not/there/run.sqlite"));
+    EXPECT_THAT(error.what(), HasSubstr("unable to open"));
+  }
+}
+
+TEST_F(RunDb, FlushMakesItVisibleToReaders) {
+  RunWriter writer(file());
+  writer.add_channel(example_channel());
+  writer.flush();
+  EXPECT_EQ(read_run(dir_).channels.size(), 1u);
+}
+
+TEST_F(RunDb, KilledRecorderLosesAtMostTheLastSecond) {
+  // The child records one sample per millisecond, stamped with the clock, until it is killed.
+  const pid_t child = fork();
+  ASSERT_GE(child, 0);
+  if (child == 0) {
+    RunWriter writer(file());
+    writer.add_channel(example_channel());
+    for (;;) {
+      const Sample sample{1, now_ns(), 1};
+      writer.add_samples({&sample, 1});
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+  }
+  std::this_thread::sleep_for(std::chrono::milliseconds(2500));
+  const int64_t killed_ns = now_ns();
+  kill(child, SIGKILL);
+  waitpid(child, nullptr, 0);
+
+  const RunRecord run = read_run(dir_);
+  ASSERT_EQ(run.channels.size(), 1u);
+  ASSERT_TRUE(run.series.contains(1));
+  EXPECT_GT(run.series.at(1).t_ns.back(), killed_ns - ns_per_s);
+}
+
+TEST_F(RunDb, FullDiskKeepsWhatWasRecorded) {
+  RunWriter::Config config;
+  config.max_page_count = 40;  // 160 KiB
+  RunWriter writer(file(), config);
+  writer.add_channel(example_channel());
+  writer.flush();
+  ASSERT_EQ(writer.failure(), "");
+  std::vector<Sample> many(50'000, Sample{1, 1'000'000'000'000, 262143328850});
+  writer.add_samples(many);
+  writer.flush();
+  EXPECT_THAT(writer.failure(), HasSubstr("database or disk is full"));
+  writer.add_samples(many);  // ignored
+  EXPECT_THROW(writer.close(), std::runtime_error);
+
+  const RunRecord run = read_run(dir_);
+  EXPECT_EQ(run.channels.size(), 1u);
+  EXPECT_TRUE(run.series.empty());
+}
+
+TEST_F(RunDb, PulledSamplesAreRecordedUntilTheEnd) {
+  int pulls = 0;
+  RunWriter::Config config;
+  config.commit_period_ns = 1'000'000;
+  config.pull_samples = [&](std::vector<Sample>& out) { out.push_back({1, ++pulls, pulls}); };
+  RunWriter writer(file(), std::move(config));
+  std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  writer.close();
+  EXPECT_EQ(static_cast<int>(read_run(dir_).series.at(1).t_ns.size()), pulls);
+  EXPECT_GT(pulls, 1);
+}
+
+// A database as another tool may write it: the contract's columns, and nothing else.
+constexpr const char* foreign_run = R"sql(
+CREATE TABLE meta(key TEXT PRIMARY KEY, value TEXT);
+CREATE TABLE channels(id INTEGER PRIMARY KEY, name TEXT, source TEXT, quantity TEXT, unit TEXT,
+  kind TEXT, wrap_at INTEGER, period_ns INTEGER, read_cost_ns INTEGER, origin TEXT);
+CREATE TABLE samples(channel_id INTEGER, t_ns INTEGER, value REAL);
+CREATE TABLE trials(id INTEGER PRIMARY KEY, model TEXT, view INTEGER, algorithm TEXT,
+  repetition INTEGER, position INTEGER, begin_ns INTEGER, end_ns INTEGER, skip_reason TEXT,
+  build_ns INTEGER, blob_bytes INTEGER);
+CREATE TABLE frames(id INTEGER PRIMARY KEY, trial_id INTEGER, frame INTEGER, phase TEXT,
+  submit_ns INTEGER, begin_ns INTEGER, end_ns INTEGER, clock_error_ns INTEGER, ray_count INTEGER,
+  hit_count INTEGER, hit_checksum TEXT, node_visit_count INTEGER, prim_test_count INTEGER);
+CREATE TABLE events(t_ns INTEGER, end_ns INTEGER, severity TEXT, kind TEXT, channel_id INTEGER,
+  text TEXT);
+)sql";
+
+TEST_F(RunDb, ReadsARunOfAnotherTool) {
+  execute(foreign_run);
+  execute("INSERT INTO channels VALUES(4,'x.temp','x','temperature','kelvin','gauge',NULL,NULL,NULL,NULL);"
+          "INSERT INTO samples VALUES(4,10,300.5);"
+          "INSERT INTO trials VALUES(1,'m',NULL,'A',NULL,NULL,5,NULL,NULL,NULL,NULL);"
+          "INSERT INTO frames VALUES(1,1,0,'timed',NULL,5,15,NULL,NULL,NULL,NULL,NULL,NULL);");
+  const RunRecord run = read_run(file());
+  EXPECT_EQ(run.channels.at(0).unit_text, "kelvin");
+  EXPECT_EQ(run.channels.at(0).unit, Unit::none);
+  EXPECT_EQ(run.series.at(4).value, std::vector<double>{300.5});
+  EXPECT_EQ(run.trials.at(0).end_ns, std::nullopt);
+  EXPECT_EQ(run.frames.at(0).ray_count, std::nullopt);
+}
+
+TEST_F(RunDb, SaysWhatIsWrongWithAFile) {
+  EXPECT_THAT(read_error(), HasSubstr("there is no such file"));
+  std::ofstream(file()) << "This is not a database, it is a sentence that goes on and on and on.";
+  EXPECT_THAT(read_error(), HasSubstr("file is not a database"));
+  fs::remove(file());
+  execute("CREATE TABLE something_else(x)");
+  EXPECT_THAT(read_error(), HasSubstr("table 'meta' is missing"));
+  fs::remove(file());
+  execute(foreign_run);
+  execute("INSERT INTO meta VALUES('schema_version','99')");
+  EXPECT_THAT(read_error(), HasSubstr("its schema_version is 99, this program reads up to 1"));
+  fs::remove(file());
+  execute(foreign_run);
+  execute("INSERT INTO frames VALUES(1,1,0,'later',NULL,5,15,NULL,NULL,NULL,NULL,NULL,NULL)");
+  EXPECT_THAT(read_error(), HasSubstr("frames.phase 'later' is not known"));
+  fs::remove(file());
+  execute(foreign_run);
+  execute("INSERT INTO frames VALUES(1,1,0,'timed',NULL,'soon',15,NULL,NULL,NULL,NULL,NULL,NULL)");
+  EXPECT_THAT(read_error(), HasSubstr("column 'begin_ns' holds 'soon'; expected an integer"));
+  fs::remove(file());
+  execute("CREATE TABLE meta(key TEXT)");
+  EXPECT_THAT(read_error(), HasSubstr("table 'meta' has no column 'value'"));
+}
+
+}  // namespace
+}  // namespace energyprof

@@ -1,0 +1,379 @@
+// A Vulkan layer that makes a healthy driver fail in the ways real ones do, so that the tests run
+// the code that handles it. Enable it with VK_ADD_LAYER_PATH=<its folder> and
+// VK_INSTANCE_LAYERS=VK_LAYER_ENERGYPROF_fault; EP_FAULT lists faults, separated by commas:
+//
+//   device-lost:N       the Nth vkQueueSubmit of the process loses its device
+//   device-lost-wait:N  the Nth vkWaitForFences does
+//   hang:N              from the Nth vkQueueSubmit on, nothing is ever seen to finish
+//   out-of-memory:N     the Nth vkAllocateMemory of the process fails
+//   no-calibrated       calibrated timestamps are hidden
+//   no-monotonic        calibrated timestamps know no CLOCK_MONOTONIC
+//   valid-bits:N        timestamps have N bits, and wrap around 200 us after the first one
+//   tick-period:X       a GPU tick takes X ns (the driver's takes 1 ns)
+//   small-range         maxStorageBufferRange is 1 MiB
+//   device-type:T       the device is of type integrated, discrete or virtual
+//
+// N counts from 1. The counters start anew when EP_FAULT changes.
+#include <vulkan/vk_layer.h>
+#include <vulkan/vulkan_core.h>
+
+#include <algorithm>
+#include <cstdlib>
+#include <cstring>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <set>
+#include <sstream>
+#include <string>
+#include <string_view>
+#include <thread>
+#include <vector>
+
+namespace {
+
+constexpr std::string_view layer_name = "VK_LAYER_ENERGYPROF_fault";
+
+class Faults {
+ public:
+  /// Reads EP_FAULT.
+  void load() {
+    const char* variable = std::getenv("EP_FAULT");
+    const std::string text = variable == nullptr ? "" : variable;
+    if (text == text_) return;
+    *this = Faults();
+    text_ = text;
+    std::istringstream stream(text);
+    for (std::string item; std::getline(stream, item, ',');) {
+      const size_t colon = item.find(':');
+      values_[item.substr(0, colon)] = colon == std::string::npos ? "" : item.substr(colon + 1);
+    }
+  }
+
+  [[nodiscard]] bool has(const std::string& name) const { return values_.contains(name); }
+  [[nodiscard]] std::optional<std::string> text(const std::string& name) const {
+    const auto found = values_.find(name);
+    return found == values_.end() ? std::nullopt : std::optional(found->second);
+  }
+  [[nodiscard]] std::optional<uint64_t> number(const std::string& name) const {
+    const auto value = text(name);
+    return value ? std::optional<uint64_t>(std::stoull(*value)) : std::nullopt;
+  }
+
+  uint64_t submit_count = 0;
+  uint64_t wait_count = 0;
+  uint64_t allocation_count = 0;
+  std::optional<uint64_t> first_tick;
+
+ private:
+  std::string text_;
+  std::map<std::string, std::string> values_;
+};
+
+struct InstanceNext {
+  VkInstance instance;
+  PFN_vkGetInstanceProcAddr get;
+};
+
+struct DeviceNext {
+  VkDevice device;
+  PFN_vkGetDeviceProcAddr get;
+};
+
+std::mutex mutex;
+Faults faults;
+std::map<void*, InstanceNext> instances;
+std::map<void*, DeviceNext> devices;
+std::set<void*> lost_devices;
+
+/// Handles of one instance, or of one device, begin with the same pointer.
+void* key(const void* handle) { return *static_cast<void* const*>(handle); }
+
+template <typename Function, typename Handle>
+Function next_of_instance(Handle handle, const char* name) {
+  const InstanceNext& next = instances.at(key(handle));
+  return reinterpret_cast<Function>(next.get(next.instance, name));
+}
+
+template <typename Function, typename Handle>
+Function next_of_device(Handle handle, const char* name) {
+  const DeviceNext& next = devices.at(key(handle));
+  return reinterpret_cast<Function>(next.get(next.device, name));
+}
+
+/// The loader's link to the next layer.
+template <typename Link, VkStructureType type>
+Link* find_link(const void* chain) {
+  auto* link = const_cast<Link*>(static_cast<const Link*>(chain));
+  while (link != nullptr && (link->sType != type || link->function != VK_LAYER_LINK_INFO)) {
+    link = const_cast<Link*>(static_cast<const Link*>(link->pNext));
+  }
+  return link;
+}
+
+VkResult VKAPI_CALL create_instance(const VkInstanceCreateInfo* info,
+                                    const VkAllocationCallbacks* allocator, VkInstance* instance) {
+  const std::lock_guard lock(mutex);
+  faults.load();
+  auto* link = find_link<VkLayerInstanceCreateInfo, VK_STRUCTURE_TYPE_LOADER_INSTANCE_CREATE_INFO>(
+      info->pNext);
+  const PFN_vkGetInstanceProcAddr get = link->u.pLayerInfo->pfnNextGetInstanceProcAddr;
+  link->u.pLayerInfo = link->u.pLayerInfo->pNext;
+  const auto create = reinterpret_cast<PFN_vkCreateInstance>(get(nullptr, "vkCreateInstance"));
+  const VkResult result = create(info, allocator, instance);
+  if (result == VK_SUCCESS) instances[key(*instance)] = {*instance, get};
+  return result;
+}
+
+void VKAPI_CALL destroy_instance(VkInstance instance, const VkAllocationCallbacks* allocator) {
+  const std::lock_guard lock(mutex);
+  const auto destroy = next_of_instance<PFN_vkDestroyInstance>(instance, "vkDestroyInstance");
+  instances.erase(key(instance));
+  destroy(instance, allocator);
+}
+
+VkResult VKAPI_CALL create_device(VkPhysicalDevice physical, const VkDeviceCreateInfo* info,
+                                  const VkAllocationCallbacks* allocator, VkDevice* device) {
+  const std::lock_guard lock(mutex);
+  auto* link =
+      find_link<VkLayerDeviceCreateInfo, VK_STRUCTURE_TYPE_LOADER_DEVICE_CREATE_INFO>(info->pNext);
+  const PFN_vkGetInstanceProcAddr get_instance = link->u.pLayerInfo->pfnNextGetInstanceProcAddr;
+  const PFN_vkGetDeviceProcAddr get = link->u.pLayerInfo->pfnNextGetDeviceProcAddr;
+  link->u.pLayerInfo = link->u.pLayerInfo->pNext;
+  const auto create = reinterpret_cast<PFN_vkCreateDevice>(
+      get_instance(instances.at(key(physical)).instance, "vkCreateDevice"));
+  const VkResult result = create(physical, info, allocator, device);
+  if (result == VK_SUCCESS) {
+    devices[key(*device)] = {*device, get};
+    lost_devices.erase(key(*device));
+  }
+  return result;
+}
+
+void VKAPI_CALL destroy_device(VkDevice device, const VkAllocationCallbacks* allocator) {
+  const std::lock_guard lock(mutex);
+  const auto destroy = next_of_device<PFN_vkDestroyDevice>(device, "vkDestroyDevice");
+  devices.erase(key(device));
+  destroy(device, allocator);
+}
+
+void change(VkPhysicalDeviceProperties& properties) {
+  if (faults.has("small-range")) properties.limits.maxStorageBufferRange = 1u << 20u;
+  if (const auto period = faults.text("tick-period")) {
+    properties.limits.timestampPeriod = std::stof(*period);
+  }
+  const std::string type = faults.text("device-type").value_or("");
+  if (type == "integrated") properties.deviceType = VK_PHYSICAL_DEVICE_TYPE_INTEGRATED_GPU;
+  if (type == "discrete") properties.deviceType = VK_PHYSICAL_DEVICE_TYPE_DISCRETE_GPU;
+  if (type == "virtual") properties.deviceType = VK_PHYSICAL_DEVICE_TYPE_VIRTUAL_GPU;
+}
+
+void VKAPI_CALL get_properties(VkPhysicalDevice physical, VkPhysicalDeviceProperties* properties) {
+  const std::lock_guard lock(mutex);
+  next_of_instance<PFN_vkGetPhysicalDeviceProperties>(physical, "vkGetPhysicalDeviceProperties")(
+      physical, properties);
+  change(*properties);
+}
+
+void VKAPI_CALL get_properties2(VkPhysicalDevice physical,
+                                VkPhysicalDeviceProperties2* properties) {
+  const std::lock_guard lock(mutex);
+  next_of_instance<PFN_vkGetPhysicalDeviceProperties2>(physical, "vkGetPhysicalDeviceProperties2")(
+      physical, properties);
+  change(properties->properties);
+}
+
+void VKAPI_CALL get_queue_families(VkPhysicalDevice physical, uint32_t* count,
+                                   VkQueueFamilyProperties* families) {
+  const std::lock_guard lock(mutex);
+  next_of_instance<PFN_vkGetPhysicalDeviceQueueFamilyProperties>(
+      physical, "vkGetPhysicalDeviceQueueFamilyProperties")(physical, count, families);
+  const auto bits = faults.number("valid-bits");
+  if (families == nullptr || !bits) return;
+  for (uint32_t i = 0; i < *count; ++i) {
+    families[i].timestampValidBits = static_cast<uint32_t>(*bits);
+  }
+}
+
+/// Answers a "how many, then give me them" call from a list.
+template <typename T>
+VkResult give(const std::vector<T>& items, uint32_t* count, T* out) {
+  const auto available = static_cast<uint32_t>(items.size());
+  if (out == nullptr) {
+    *count = available;
+    return VK_SUCCESS;
+  }
+  const uint32_t given = std::min(*count, available);
+  std::copy_n(items.begin(), given, out);
+  *count = given;
+  return given < available ? VK_INCOMPLETE : VK_SUCCESS;
+}
+
+VkResult VKAPI_CALL enumerate_extensions(VkPhysicalDevice physical, const char* layer,
+                                         uint32_t* count, VkExtensionProperties* out) {
+  const std::lock_guard lock(mutex);
+  if (layer != nullptr && layer == layer_name) return give<VkExtensionProperties>({}, count, out);
+  const auto next = next_of_instance<PFN_vkEnumerateDeviceExtensionProperties>(
+      physical, "vkEnumerateDeviceExtensionProperties");
+  if (!faults.has("no-calibrated")) return next(physical, layer, count, out);
+  uint32_t all_count = 0;
+  next(physical, layer, &all_count, nullptr);
+  std::vector<VkExtensionProperties> all(all_count);
+  next(physical, layer, &all_count, all.data());
+  std::erase_if(all, [](const VkExtensionProperties& extension) {
+    return std::string_view(extension.extensionName).ends_with("_calibrated_timestamps");
+  });
+  return give(all, count, out);
+}
+
+VkResult VKAPI_CALL get_time_domains(VkPhysicalDevice physical, uint32_t* count,
+                                     VkTimeDomainEXT* out) {
+  const std::lock_guard lock(mutex);
+  const auto next = next_of_instance<PFN_vkGetPhysicalDeviceCalibrateableTimeDomainsEXT>(
+      physical, "vkGetPhysicalDeviceCalibrateableTimeDomainsEXT");
+  if (!faults.has("no-monotonic")) return next(physical, count, out);
+  return give<VkTimeDomainEXT>({VK_TIME_DOMAIN_DEVICE_EXT, VK_TIME_DOMAIN_CLOCK_MONOTONIC_RAW_EXT},
+                               count, out);
+}
+
+/// The driver's ticks (1 ns) as the clock that EP_FAULT describes would show them.
+uint64_t change(uint64_t ticks) {
+  const double period = std::stod(faults.text("tick-period").value_or("1"));
+  if (period != 1.0) ticks = static_cast<uint64_t>(static_cast<double>(ticks) / period);
+  const auto bits = faults.number("valid-bits");
+  if (!bits) return ticks;
+  if (!faults.first_tick) faults.first_tick = ticks;
+  const auto until_wrap = static_cast<uint64_t>(200'000.0 / period);
+  return (ticks - *faults.first_tick - until_wrap) & ((uint64_t{1} << *bits) - 1);
+}
+
+VkResult VKAPI_CALL get_calibrated_timestamps(VkDevice device, uint32_t count,
+                                              const VkCalibratedTimestampInfoEXT* infos,
+                                              uint64_t* times, uint64_t* deviation) {
+  const std::lock_guard lock(mutex);
+  const auto next =
+      next_of_device<PFN_vkGetCalibratedTimestampsEXT>(device, "vkGetCalibratedTimestampsEXT");
+  const VkResult result = next(device, count, infos, times, deviation);
+  for (uint32_t i = 0; i < count; ++i) {
+    if (infos[i].timeDomain == VK_TIME_DOMAIN_DEVICE_EXT) times[i] = change(times[i]);
+  }
+  return result;
+}
+
+/// Timestamps as energyprof asks for them: 64-bit values, one after the other.
+VkResult VKAPI_CALL get_query_results(VkDevice device, VkQueryPool pool, uint32_t first,
+                                      uint32_t count, size_t size, void* data, VkDeviceSize stride,
+                                      VkQueryResultFlags flags) {
+  const std::lock_guard lock(mutex);
+  const VkResult result = next_of_device<PFN_vkGetQueryPoolResults>(
+      device, "vkGetQueryPoolResults")(device, pool, first, count, size, data, stride, flags);
+  auto* ticks = static_cast<uint64_t*>(data);
+  std::transform(ticks, ticks + count, ticks, [](uint64_t value) { return change(value); });
+  return result;
+}
+
+VkResult VKAPI_CALL queue_submit(VkQueue queue, uint32_t count, const VkSubmitInfo* infos,
+                                 VkFence fence) {
+  const std::lock_guard lock(mutex);
+  ++faults.submit_count;
+  if (faults.submit_count == faults.number("device-lost")) lost_devices.insert(key(queue));
+  if (lost_devices.contains(key(queue))) return VK_ERROR_DEVICE_LOST;
+  return next_of_device<PFN_vkQueueSubmit>(queue, "vkQueueSubmit")(queue, count, infos, fence);
+}
+
+VkResult VKAPI_CALL wait_for_fences(VkDevice device, uint32_t count, const VkFence* fences,
+                                    VkBool32 all, uint64_t timeout_ns) {
+  PFN_vkWaitForFences next = nullptr;
+  bool hangs = false;
+  {
+    const std::lock_guard lock(mutex);
+    ++faults.wait_count;
+    if (faults.wait_count == faults.number("device-lost-wait")) lost_devices.insert(key(device));
+    if (lost_devices.contains(key(device))) return VK_ERROR_DEVICE_LOST;
+    hangs = faults.submit_count >= faults.number("hang").value_or(~uint64_t{0});
+    next = next_of_device<PFN_vkWaitForFences>(device, "vkWaitForFences");
+  }
+  if (!hangs) return next(device, count, fences, all, timeout_ns);
+  std::this_thread::sleep_for(std::chrono::nanoseconds(timeout_ns));
+  return VK_TIMEOUT;
+}
+
+VkResult VKAPI_CALL allocate_memory(VkDevice device, const VkMemoryAllocateInfo* info,
+                                    const VkAllocationCallbacks* allocator,
+                                    VkDeviceMemory* memory) {
+  const std::lock_guard lock(mutex);
+  ++faults.allocation_count;
+  if (faults.allocation_count == faults.number("out-of-memory")) {
+    return VK_ERROR_OUT_OF_DEVICE_MEMORY;
+  }
+  return next_of_device<PFN_vkAllocateMemory>(device, "vkAllocateMemory")(device, info, allocator,
+                                                                          memory);
+}
+
+VKAPI_ATTR PFN_vkVoidFunction VKAPI_CALL get_device_function(VkDevice device, const char* name);
+VKAPI_ATTR PFN_vkVoidFunction VKAPI_CALL get_instance_function(VkInstance instance,
+                                                               const char* name);
+
+template <typename Function>
+PFN_vkVoidFunction erase_type(Function* function) {
+  return reinterpret_cast<PFN_vkVoidFunction>(function);
+}
+
+PFN_vkVoidFunction find(const std::map<std::string_view, PFN_vkVoidFunction>& table,
+                        const char* name) {
+  const auto found = table.find(name);
+  return found == table.end() ? nullptr : found->second;
+}
+
+PFN_vkVoidFunction own_device_function(const char* name) {
+  static const std::map<std::string_view, PFN_vkVoidFunction> table{
+      {"vkGetDeviceProcAddr", erase_type(get_device_function)},
+      {"vkDestroyDevice", erase_type(destroy_device)},
+      {"vkGetCalibratedTimestampsEXT", erase_type(get_calibrated_timestamps)},
+      {"vkGetQueryPoolResults", erase_type(get_query_results)},
+      {"vkQueueSubmit", erase_type(queue_submit)},
+      {"vkWaitForFences", erase_type(wait_for_fences)},
+      {"vkAllocateMemory", erase_type(allocate_memory)},
+  };
+  return find(table, name);
+}
+
+PFN_vkVoidFunction own_instance_function(const char* name) {
+  static const std::map<std::string_view, PFN_vkVoidFunction> table{
+      {"vkGetInstanceProcAddr", erase_type(get_instance_function)},
+      {"vkCreateInstance", erase_type(create_instance)},
+      {"vkDestroyInstance", erase_type(destroy_instance)},
+      {"vkCreateDevice", erase_type(create_device)},
+      {"vkGetPhysicalDeviceProperties", erase_type(get_properties)},
+      {"vkGetPhysicalDeviceProperties2", erase_type(get_properties2)},
+      {"vkGetPhysicalDeviceProperties2KHR", erase_type(get_properties2)},
+      {"vkGetPhysicalDeviceQueueFamilyProperties", erase_type(get_queue_families)},
+      {"vkEnumerateDeviceExtensionProperties", erase_type(enumerate_extensions)},
+      {"vkGetPhysicalDeviceCalibrateableTimeDomainsEXT", erase_type(get_time_domains)},
+  };
+  return find(table, name);
+}
+
+PFN_vkVoidFunction VKAPI_CALL get_device_function(VkDevice device, const char* name) {
+  if (const PFN_vkVoidFunction own = own_device_function(name)) return own;
+  const std::lock_guard lock(mutex);
+  return devices.at(key(device)).get(device, name);
+}
+
+PFN_vkVoidFunction VKAPI_CALL get_instance_function(VkInstance instance, const char* name) {
+  if (const PFN_vkVoidFunction own = own_instance_function(name)) return own;
+  if (const PFN_vkVoidFunction own = own_device_function(name)) return own;
+  const std::lock_guard lock(mutex);
+  return instance == nullptr ? nullptr : instances.at(key(instance)).get(instance, name);
+}
+
+}  // namespace
+
+extern "C" __attribute__((visibility("default"))) VkResult VKAPI_CALL
+vkNegotiateLoaderLayerInterfaceVersion(VkNegotiateLayerInterface* negotiation) {
+  negotiation->loaderLayerInterfaceVersion = 2;
+  negotiation->pfnGetInstanceProcAddr = get_instance_function;
+  negotiation->pfnGetDeviceProcAddr = get_device_function;
+  negotiation->pfnGetPhysicalDeviceProcAddr = nullptr;
+  return VK_SUCCESS;
+}
