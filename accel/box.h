@@ -45,12 +45,12 @@ inline Box triangle_box(const Mesh& mesh, size_t triangle, float padding) {
   return box;
 }
 
-/// By how much boxes must be larger than their triangles so that rounding loses no hit: two units in
-/// the last place of the largest coordinate, or of the extent if that is more. Rays that run exactly
-/// along a flat box are then inside it.
+/// By how much boxes must be larger than their triangles so that rounding loses no hit: two units
+/// in the last place of the largest coordinate, or of the extent if that is more. Rays that run
+/// exactly along a flat box are then inside it.
 inline float box_padding(const Box& bounds) {
-  const glm::vec3 reach = glm::max(glm::max(glm::abs(bounds.min), glm::abs(bounds.max)),
-                                   bounds.max - bounds.min);
+  const glm::vec3 reach =
+      glm::max(glm::max(glm::abs(bounds.min), glm::abs(bounds.max)), bounds.max - bounds.min);
   return 0x1p-22f * std::max(reach.x, std::max(reach.y, reach.z));
 }
 

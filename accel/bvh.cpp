@@ -22,7 +22,7 @@ namespace energyprof::accel {
 namespace {
 
 constexpr size_t max_bvh_triangle_count = size_t{1} << 30;  // node indices stay below 2^31
-constexpr size_t parallel_threshold = 4096;             // smaller subtrees are built by one thread
+constexpr size_t parallel_threshold = 4096;  // smaller subtrees are built by one thread
 constexpr int max_bucket_count = 64;
 
 /// A triangle as the builder sees it.
@@ -62,7 +62,8 @@ class Builder {
     const Box left_box = bounds_of(first, middle);
     const Box right_box = bounds_of(middle, last);
     const size_t left_node = node + 1;
-    const size_t right_node = node + 2 * (middle - first);  // after the left subtree's 2 n - 1 nodes
+    const size_t right_node =
+        node + 2 * (middle - first);  // after the left subtree's 2 n - 1 nodes
     write_node(node, box, -(axis + 1), static_cast<int32_t>(right_node));
 
     Subtree left;
@@ -116,7 +117,8 @@ class Builder {
       bucket.box.grow(refs_[i].box);
       ++bucket.count;
     }
-    const int split = cheapest_split(std::span(buckets).first(static_cast<size_t>(config_.bucket_count)), box);
+    const int split =
+        cheapest_split(std::span(buckets).first(static_cast<size_t>(config_.bucket_count)), box);
     const auto middle = std::partition(refs_.begin() + static_cast<ptrdiff_t>(first),
                                        refs_.begin() + static_cast<ptrdiff_t>(last),
                                        [&](const Ref& ref) { return bucket_of(ref) <= split; });
@@ -129,14 +131,16 @@ class Builder {
     const size_t middle = first + (last - first) / 2;
     std::nth_element(refs_.begin() + static_cast<ptrdiff_t>(first),
                      refs_.begin() + static_cast<ptrdiff_t>(middle),
-                     refs_.begin() + static_cast<ptrdiff_t>(last), [axis](const Ref& a, const Ref& b) {
+                     refs_.begin() + static_cast<ptrdiff_t>(last),
+                     [axis](const Ref& a, const Ref& b) {
                        if (a.centre(axis) != b.centre(axis)) return a.centre(axis) < b.centre(axis);
                        return a.prim < b.prim;
                      });
     return middle;
   }
 
-  /// The bucket after which to split: least traverse_cost + intersect_cost * (n_l A_l + n_r A_r) / A.
+  /// The bucket after which to split: least traverse_cost + intersect_cost * (n_l A_l + n_r A_r) /
+  /// A.
   [[nodiscard]] int cheapest_split(std::span<const Bucket> buckets, const Box& box) const {
     std::array<float, max_bucket_count> right_cost{};
     Bucket sum;

@@ -1,4 +1,5 @@
-/// Builder of the paper's bounding volume hierarchy: binned SAH, one triangle a leaf, 32-byte nodes.
+/// Builder of the paper's bounding volume hierarchy: binned SAH, one triangle a leaf, 32-byte
+/// nodes.
 #pragma once
 
 #include "accel/mesh.h"

@@ -129,7 +129,8 @@ Bytes inflate_gzip(std::string_view name, std::string_view bytes, uint64_t limit
     } else if (result != LIBDEFLATE_INSUFFICIENT_SPACE) {
       fail(position, "the gzip data that begins here is damaged or cut off");
     } else if (capacity == ceiling) {
-      fail(position, fmt::format("the gzip data that begins here holds more than {} bytes", ceiling));
+      fail(position,
+           fmt::format("the gzip data that begins here holds more than {} bytes", ceiling));
     } else {
       capacity = std::min<uint64_t>(std::max<uint64_t>(2 * uint64_t{capacity}, 1 << 16), ceiling);
       grow(out, capacity);

@@ -24,8 +24,9 @@ inline constexpr uint64_t max_inflated_bytes = uint64_t{1} << 32;
 /// cannot be read, or is a directory or a device.
 Bytes read_file(const std::filesystem::path& file);
 
-/// Asks the system for large pages under memory that has not been written to yet: the first touch of
-/// many small ones is a good part of what loading a mesh costs. Only a wish; nothing depends on it.
+/// Asks the system for large pages under memory that has not been written to yet: the first touch
+/// of many small ones is a good part of what loading a mesh costs. Only a wish; nothing depends on
+/// it.
 void prefer_large_pages(const void* begin, size_t byte_count);
 
 /// True if the bytes begin as a gzip file does.

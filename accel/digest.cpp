@@ -16,8 +16,8 @@ std::vector<unsigned char> digest(const EVP_MD* algorithm, std::string_view byte
   std::vector<unsigned char> result(static_cast<size_t>(EVP_MD_get_size(algorithm)));
   unsigned int length = 0;
   if (EVP_Digest(bytes.data(), bytes.size(), result.data(), &length, algorithm, nullptr) != 1) {
-    throw std::runtime_error(fmt::format("cannot compute a digest: libcrypto refuses {}.",
-                                         EVP_MD_get0_name(algorithm)));
+    throw std::runtime_error(
+        fmt::format("cannot compute a digest: libcrypto refuses {}.", EVP_MD_get0_name(algorithm)));
   }
   return result;
 }

@@ -48,8 +48,9 @@ uint64_t hash_of(glm::vec3 p) {
 
 /// For each position, the index of the first that equals it.
 ///
-/// Open addressing. What costs time is waiting for memory: slots are asked for a few positions ahead,
-/// and the half of the hash that they keep spares a look at almost every position that differs.
+/// Open addressing. What costs time is waiting for memory: slots are asked for a few positions
+/// ahead, and the half of the hash that they keep spares a look at almost every position that
+/// differs.
 std::vector<uint32_t> first_equals(const std::vector<glm::vec3>& positions) {
   struct Slot {
     uint32_t hash_high = 0;
@@ -103,9 +104,9 @@ void MeshText::fail_at_byte(const char* at, std::string_view why) const {
 }
 
 const char* scan_float_exactly(const char* p, const char* end, float& value) {
-  if (p != end && *p == '+') ++p;
   const bool negative = p != end && *p == '-';
-  const char* const first = p + (negative ? 1 : 0);
+  const char* const first = p + (p != end && (*p == '-' || *p == '+') ? 1 : 0);
+  if (!negative) p = first;  // from_chars knows no plus sign
   // from_chars would also take "inf" and "nan".
   if (first == end || (!is_digit(*first) && *first != '.')) return nullptr;
   const auto [stop, error] = std::from_chars(p, end, value);
@@ -211,8 +212,10 @@ Bounds bounds(const Mesh& mesh) {
   if (mesh.positions.empty()) return {};
   Bounds box{mesh.positions.front(), mesh.positions.front()};
   for (const glm::vec3 p : mesh.positions) {
-    box.min = glm::vec3(std::min(box.min.x, p.x), std::min(box.min.y, p.y), std::min(box.min.z, p.z));
-    box.max = glm::vec3(std::max(box.max.x, p.x), std::max(box.max.y, p.y), std::max(box.max.z, p.z));
+    box.min =
+        glm::vec3(std::min(box.min.x, p.x), std::min(box.min.y, p.y), std::min(box.min.z, p.z));
+    box.max =
+        glm::vec3(std::max(box.max.x, p.x), std::max(box.max.y, p.y), std::max(box.max.z, p.z));
   }
   return box;
 }

@@ -24,10 +24,10 @@ struct Bounds {
 /// What a file held and what the weld made of it.
 struct MeshInfo {
   size_t file_vertex_count = 0;
-  size_t file_triangle_count = 0;          ///< polygons already split
-  size_t welded_vertex_count = 0;          ///< vertices at the position of an earlier one
-  size_t unreferenced_vertex_count = 0;    ///< distinct positions that no triangle kept uses
-  size_t degenerate_triangle_count = 0;    ///< triangles with two corners at the same position
+  size_t file_triangle_count = 0;        ///< polygons already split
+  size_t welded_vertex_count = 0;        ///< vertices at the position of an earlier one
+  size_t unreferenced_vertex_count = 0;  ///< distinct positions that no triangle kept uses
+  size_t degenerate_triangle_count = 0;  ///< triangles with two corners at the same position
 };
 
 /// The most triangles a mesh may have: ids of triangles, plus one, are int32 on the device.
@@ -55,8 +55,9 @@ Mesh weld(Mesh mesh, MeshInfo* info = nullptr);
 /// The box around all positions; both corners at the origin if there are none.
 Bounds bounds(const Mesh& mesh);
 
-/// Newell's teapot, welded: 32 bicubic patches on a grid of n x n quads each, in Newell's units, y up
-/// and standing on y = 0. 64 n^2 - 8 n triangles. Throws std::runtime_error unless 1 <= n <= 256.
+/// Newell's teapot, welded: 32 bicubic patches on a grid of n x n quads each, in Newell's units, y
+/// up and standing on y = 0. 64 n^2 - 8 n triangles. Throws std::runtime_error unless 1 <= n <=
+/// 256.
 ///
 /// Patches that share a border share its vertices bit for bit, at every n.
 Mesh make_teapot(int n = 6);

@@ -75,8 +75,8 @@ std::string why_not_a_float(std::string_view token);
 /// Reads a decimal number at `p`, correctly rounded to float. Returns where it ends, or nullptr if
 /// there is none or it is NaN, infinite or beyond float; what is too small becomes 0.
 ///
-/// A mantissa below 2^53 and a power of ten up to 22 are exact doubles, so that one multiplication or
-/// division rounds correctly ("How to Read Floating Point Numbers Accurately", by W. D. Clinger,
+/// A mantissa below 2^53 and a power of ten up to 22 are exact doubles, so that one multiplication
+/// or division rounds correctly ("How to Read Floating Point Numbers Accurately", by W. D. Clinger,
 /// PLDI 1990). Rounding that double once more to float goes wrong only if it lies just between two
 /// floats; then, and for all other numbers, scan_float_exactly() decides.
 inline const char* scan_float(const char* begin, const char* end, float& value) {

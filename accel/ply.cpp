@@ -112,7 +112,8 @@ class HeaderParser {
     const void* const stop = std::memchr(next_, '\n', rest);
     if (stop == nullptr) {
       line_ = {next_, rest};
-      if (next_ == file_.text.data()) fail(fmt::format("a PLY file begins with 'ply', not with {}", quoted(line_)));
+      if (next_ == file_.text.data())
+        fail(fmt::format("a PLY file begins with 'ply', not with {}", quoted(line_)));
       fail("the header has no 'end_header' line");
     }
     line_ = {next_, static_cast<size_t>(static_cast<const char*>(stop) - next_)};
@@ -133,9 +134,10 @@ class HeaderParser {
     } else if (keyword == "end_header") {
       at_end_ = true;
     } else {
-      fail(fmt::format("{} is not a keyword of a PLY header: format, comment, obj_info, element, "
-                       "property or end_header",
-                       quoted(keyword)));
+      fail(
+          fmt::format("{} is not a keyword of a PLY header: format, comment, obj_info, element, "
+                      "property or end_header",
+                      quoted(keyword)));
     }
   }
 
@@ -206,9 +208,10 @@ class HeaderParser {
     for (const ScalarName& known : scalar_names) {
       if (known.name == name) return known.type;
     }
-    fail(fmt::format("{} is not a type: char, uchar, short, ushort, int, uint, float, double, or "
-                     "int8 to float64",
-                     quoted(name)));
+    fail(
+        fmt::format("{} is not a type: char, uchar, short, ushort, int, uint, float, double, or "
+                    "int8 to float64",
+                    quoted(name)));
   }
 
   const MeshText& file_;
@@ -253,8 +256,9 @@ class AsciiReader {
     uint64_t value = 0;
     const char* const p = scan_digits(next_, end_, value);
     if (p == next_ || p - next_ > longest_integer || !is_delimited(p)) {
-      fail(next_ == end_ ? fmt::format("the file ends where {} should stand", what)
-                         : fmt::format("{} is not {}, a whole number from 0 up", quoted(token()), what));
+      fail(next_ == end_
+               ? fmt::format("the file ends where {} should stand", what)
+               : fmt::format("{} is not {}, a whole number from 0 up", quoted(token()), what));
     }
     next_ = p;
     return value;
@@ -271,9 +275,10 @@ class AsciiReader {
   void expect_end() {
     skip_space();
     if (next_ != end_) {
-      file_.fail_at_line(next_, fmt::format("{} follows where the file should end; the counts of the "
-                                            "header do not match",
-                                            quoted(token())));
+      file_.fail_at_line(next_,
+                         fmt::format("{} follows where the file should end; the counts of the "
+                                     "header do not match",
+                                     quoted(token())));
     }
   }
 
@@ -314,14 +319,21 @@ class BinaryReader {
     const char* const begin = next_;
     double value = 0;
     switch (type) {
-      case Scalar::float32: value = double{take<float>()}; break;
-      case Scalar::float64: value = take<double>(); break;
-      default: value = static_cast<double>(take_integer(type)); break;
+      case Scalar::float32:
+        value = double{take<float>()};
+        break;
+      case Scalar::float64:
+        value = take<double>();
+        break;
+      default:
+        value = static_cast<double>(take_integer(type));
+        break;
     }
     const float rounded = static_cast<float>(value);
     if (!std::isfinite(rounded)) {
       next_ = begin;
-      fail(fmt::format("{} is not a coordinate: it must be finite and no larger than 3.4e38", value));
+      fail(fmt::format("{} is not a coordinate: it must be finite and no larger than 3.4e38",
+                       value));
     }
     return rounded;
   }
@@ -343,9 +355,10 @@ class BinaryReader {
 
   void expect_end() {
     if (!std::all_of(next_, end_, is_space)) {
-      file_.fail_at_byte(next_, fmt::format("{} bytes follow where the file should end; the counts of "
-                                            "the header do not match",
-                                            end_ - next_));
+      file_.fail_at_byte(next_,
+                         fmt::format("{} bytes follow where the file should end; the counts of "
+                                     "the header do not match",
+                                     end_ - next_));
     }
   }
 
@@ -365,9 +378,10 @@ class BinaryReader {
  private:
   void need(uint64_t count) const {
     if (count > bytes_left()) {
-      fail(fmt::format("{} more bytes are needed and {} are left; the file is cut off or its header "
-                       "is wrong",
-                       count, bytes_left()));
+      fail(
+          fmt::format("{} more bytes are needed and {} are left; the file is cut off or its header "
+                      "is wrong",
+                      count, bytes_left()));
     }
   }
 
@@ -383,12 +397,18 @@ class BinaryReader {
 
   int64_t take_integer(Scalar type) {
     switch (type) {
-      case Scalar::int8: return take<int8_t>();
-      case Scalar::uint8: return take<uint8_t>();
-      case Scalar::int16: return take<int16_t>();
-      case Scalar::uint16: return take<uint16_t>();
-      case Scalar::int32: return take<int32_t>();
-      default: return take<uint32_t>();
+      case Scalar::int8:
+        return take<int8_t>();
+      case Scalar::uint8:
+        return take<uint8_t>();
+      case Scalar::int16:
+        return take<int16_t>();
+      case Scalar::uint16:
+        return take<uint16_t>();
+      case Scalar::int32:
+        return take<int32_t>();
+      default:
+        return take<uint32_t>();
     }
   }
 
@@ -457,8 +477,8 @@ void read_polygon(Reader& reader, const Property& property, uint64_t vertex_coun
   for (uint64_t corner = 0; corner < corner_count; ++corner) {
     const uint64_t index = reader.integer(property.type, "the index of a vertex");
     if (index >= vertex_count) {
-      reader.fail(
-          fmt::format("there is no vertex {}; the file has {}, counted from 0", index, vertex_count));
+      reader.fail(fmt::format("there is no vertex {}; the file has {}, counted from 0", index,
+                              vertex_count));
     }
     triangle[corner == 0 ? 0 : 2] = static_cast<uint32_t>(index);
     if (corner >= 2) triangles.push_back(triangle);
@@ -494,9 +514,10 @@ Mesh read_body(const MeshText& file, const Header& header, uint64_t vertex_count
     // Before anything is allocated: the header may promise more than the file can hold.
     const uint64_t least = Reader::least_bytes(element);
     if (least > 0 && element.count > reader.bytes_left() / least) {
-      file.fail(fmt::format("its header promises {} {} elements, of {} bytes or more each, and {} bytes "
-                            "are left; the file is cut off or its header is wrong",
-                            element.count, quoted(element.name), least, reader.bytes_left()));
+      file.fail(
+          fmt::format("its header promises {} {} elements, of {} bytes or more each, and {} bytes "
+                      "are left; the file is cut off or its header is wrong",
+                      element.count, quoted(element.name), least, reader.bytes_left()));
     }
     reader.at = {&element, 0};
     if (element.name == "vertex") {

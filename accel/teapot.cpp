@@ -68,8 +68,9 @@ double blend(const Weights& w, double p0, double p1, double p2, double p3) {
   return (w[0] * p0 + w[3] * p3) + (w[1] * p1 + w[2] * p2);
 }
 
-/// The point of a patch at (u, v), y up. On a border the inner weights are exactly 0 and 1, so that the
-/// point depends on the four control points of that border alone, whichever patch it is reached from.
+/// The point of a patch at (u, v), y up. On a border the inner weights are exactly 0 and 1, so that
+/// the point depends on the four control points of that border alone, whichever patch it is reached
+/// from.
 glm::vec3 evaluate(const Patch& patch, const Weights& u, const Weights& v) {
   std::array<double, 3> point{};
   for (size_t axis = 0; axis < 3; ++axis) {
@@ -80,7 +81,8 @@ glm::vec3 evaluate(const Patch& patch, const Weights& u, const Weights& v) {
     }
     point[axis] = blend(u, rows[0], rows[1], rows[2], rows[3]);
   }
-  return {static_cast<float>(point[0]), static_cast<float>(point[2]), static_cast<float>(-point[1])};
+  return {static_cast<float>(point[0]), static_cast<float>(point[2]),
+          static_cast<float>(-point[1])};
 }
 
 }  // namespace
@@ -88,9 +90,8 @@ glm::vec3 evaluate(const Patch& patch, const Weights& u, const Weights& v) {
 Mesh make_teapot(int n) {
   constexpr int largest_n = 256;
   if (n < 1 || n > largest_n) {
-    throw std::runtime_error(
-        fmt::format("cannot make a teapot of {0} x {0} quads per patch: 1 to {1} are possible.", n,
-                    largest_n));
+    throw std::runtime_error(fmt::format(
+        "cannot make a teapot of {0} x {0} quads per patch: 1 to {1} are possible.", n, largest_n));
   }
   std::vector<Weights> weights;
   for (int i = 0; i <= n; ++i) weights.push_back(bernstein(i, n));

@@ -141,7 +141,8 @@ class BvhValidator {
 
 std::vector<std::string> validate(const AccelBlob& blob) {
   switch (blob.kind) {
-    case AccelKind::bvh_depth_first: return BvhValidator(blob).run();
+    case AccelKind::bvh_depth_first:
+      return BvhValidator(blob).run();
   }
   return {"unknown kind of blob"};
 }

@@ -19,8 +19,9 @@
 namespace energyprof::analysis {
 namespace {
 
-constexpr double outlier_ratio = 2;
-constexpr std::size_t replicate_count = 1000;
+constexpr std::size_t max_replicate_count = 1000;
+constexpr std::size_t min_replicate_count = 200;
+constexpr std::size_t max_draw_count = 20'000'000;
 constexpr uint64_t bootstrap_seed = 1;
 
 using Place = std::pair<std::string, int64_t>;  // model and view
@@ -91,10 +92,10 @@ std::map<CellKey, CellFrames> gather_frames(const RunRecord& run, const TrialByI
     }
   }
   if (orphan_count > 0)
-    warnings.push_back(fmt::format("{} belong to no recorded trial and are left out.",
+    warnings.push_back(fmt::format("Left out, as their trial is not recorded: {}.",
                                    counted(orphan_count, "frame")));
   if (backward_count > 0)
-    warnings.push_back(fmt::format("{} end no later than they begin and are left out.",
+    warnings.push_back(fmt::format("Left out, as they end no later than they begin: {}.",
                                    counted(backward_count, "timed frame")));
   return cells;
 }
@@ -176,7 +177,8 @@ std::vector<Outlier> find_outliers(const RunRecord& run, std::vector<Cell>& cell
       if (cell.frame_ms[i] <= outlier_ratio * cell.baseline_ms) continue;
       const std::size_t index = cell.frame_index[i];
       outliers.push_back({c, index, run.frames[index].id, cell.frame_ms[i],
-                          cell.frame_ms[i] / cell.baseline_ms, cell.frame_ms[i] - cell.baseline_ms});
+                          cell.frame_ms[i] / cell.baseline_ms,
+                          cell.frame_ms[i] - cell.baseline_ms});
       ++cell.outlier_count;
     }
   }
@@ -189,7 +191,8 @@ std::vector<Outlier> find_outliers(const RunRecord& run, std::vector<Cell>& cell
 /// Compares the hits of one model and view frame by frame, over all algorithms.
 struct Agreement {
   std::set<std::string> algorithms;  // with checksums
-  std::map<int64_t, std::map<std::string, std::set<std::string>>> found;  // frame, checksum: by whom
+  std::map<int64_t, std::map<std::string, std::set<std::string>>>
+      found;  // frame, checksum: by whom
 };
 
 std::string describe_disagreement(const Place& place, const Agreement& agreement,
@@ -200,7 +203,8 @@ std::string describe_disagreement(const Place& place, const Agreement& agreement
   for (const auto& [checksum, algorithms] : first->second)
     camps.push_back(fmt::format("{} found {}", fmt::join(algorithms, ", "), checksum));
   return fmt::format(
-      "{}: the hit checksums of {} of {} differ, so at least one algorithm traced wrongly. Frame {}: {}.",
+      "{}: the hit checksums of {} of {} differ, so at least one algorithm traced wrongly. Frame "
+      "{}: {}.",
       place_name(place), different_count, counted(agreement.found.size(), "frame"), first->first,
       fmt::join(camps, "; "));
 }
@@ -283,11 +287,18 @@ RankingRow ranking_row(const std::string& algorithm, const std::map<Place, const
   return row;
 }
 
-/// `replicate_count` bootstrap scores of one algorithm.
+/// As many replicates as are worth the time on `cells`.
+std::size_t replicate_count(const std::vector<Cell>& cells) {
+  std::size_t frame_count = 1;
+  for (const Cell& cell : cells) frame_count += cell.frame_ms.size();
+  return std::clamp(max_draw_count / frame_count, min_replicate_count, max_replicate_count);
+}
+
+/// Bootstrap scores of one algorithm, `count` of them.
 std::vector<double> replicate_scores(const std::map<Place, const Cell*>& cells,
                                      const std::vector<Place>& common, const ScoreConfig& config,
-                                     std::mt19937_64& random) {
-  std::vector<double> scores(replicate_count, 0.0);
+                                     std::size_t count, std::mt19937_64& random) {
+  std::vector<double> scores(count, 0.0);
   std::vector<double> resample;
   for (const Place& place : common) {
     const std::vector<double>& times_ms = cells.at(place)->frame_ms;
@@ -314,12 +325,13 @@ std::vector<RankingRow> rank(const std::vector<Cell>& cells, const ScoreConfig& 
   const std::vector<Place> common = common_places(scored, warnings);
   if (common.empty()) return {};
 
+  const std::size_t count = replicate_count(cells);
   std::mt19937_64 random(bootstrap_seed);
   std::map<std::string, std::vector<double>> replicates;
   std::vector<RankingRow> rows;
   for (const auto& [algorithm, places] : scored) {
     rows.push_back(ranking_row(algorithm, places, common));
-    replicates[algorithm] = replicate_scores(places, common, config, random);
+    replicates[algorithm] = replicate_scores(places, common, config, count, random);
   }
   std::stable_sort(rows.begin(), rows.end(), [](const RankingRow& a, const RankingRow& b) {
     return a.score_ms < b.score_ms;
@@ -351,11 +363,13 @@ void warn_about_trials(const RunRecord& run, const std::vector<Cell>& cells,
   }
   for (const Cell& cell : cells) unranked.erase(cell.algorithm);
   if (!unranked.empty())
-    warnings.push_back(fmt::format("Without any usable timed frame: {}.", fmt::join(unranked, ", ")));
+    warnings.push_back(
+        fmt::format("Without any usable timed frame: {}.", fmt::join(unranked, ", ")));
   if (unfinished_count > 0)
-    warnings.push_back(fmt::format("{} without an end: the run stopped inside. Frames recorded until "
-                                   "then are used.",
-                                   counted(unfinished_count, "trial")));
+    warnings.push_back(
+        fmt::format("{} without an end: the run stopped inside. Frames recorded until "
+                    "then are used.",
+                    counted(unfinished_count, "trial")));
 }
 
 std::vector<Build> list_builds(const RunRecord& run) {
@@ -364,9 +378,9 @@ std::vector<Build> list_builds(const RunRecord& run) {
   for (const Trial& trial : run.trials) {
     if (!trial.build_ns && !trial.blob_bytes) continue;
     if (!seen.emplace(trial.model, trial.algorithm).second) continue;
-    Build build{trial.model,          trial.algorithm,  std::nullopt,     trial.blob_bytes,
-                trial.triangle_count, trial.node_count, trial.leaf_count, trial.max_depth,
-                trial.sah_cost};
+    Build build{trial.model,      trial.algorithm,      std::nullopt,
+                trial.blob_bytes, trial.triangle_count, trial.node_count,
+                trial.leaf_count, trial.max_depth,      trial.sah_cost};
     if (trial.build_ns) build.build_ms = static_cast<double>(*trial.build_ns) * 1e-6;
     builds.push_back(build);
   }
@@ -402,16 +416,17 @@ SensorSummary summarize(const Channel& channel, const SampleSeries* series, bool
     const Unwrapped total = unwrap(series->value, channel.wrap_at);
     sensor.increase = total.value.back();
     if (total.reset_count > 0)
-      warnings.push_back(fmt::format("{} fell {} without a wrap: it was reset; the falls count as nothing.",
-                                     channel.name, counted(total.reset_count, "time")));
+      warnings.push_back(
+          fmt::format("{} fell {} without a wrap: it was reset; the falls count as nothing.",
+                      channel.name, counted(total.reset_count, "time")));
   }
   sensor.status = sensor_status(sensor, went_away);
   const bool should_move =
       channel.quantity == Quantity::energy || channel.quantity == Quantity::power;
   if (should_move && sensor.status == "constant" && sensor.sample_count > 1)
-    warnings.push_back(fmt::format("{} never changed in {}: it says nothing about this run.",
-                                   channel.name,
-                                   counted(static_cast<std::size_t>(sensor.sample_count), "sample")));
+    warnings.push_back(
+        fmt::format("{} never changed in {}: it says nothing about this run.", channel.name,
+                    counted(static_cast<std::size_t>(sensor.sample_count), "sample")));
   return sensor;
 }
 
@@ -441,8 +456,9 @@ std::vector<EnergyRow> energy_rows(const Analysis& analysis, std::vector<std::st
     const auto same = std::find_if(rows.begin(), rows.end(), [&](const EnergyRow& row) {
       return row.algorithm == cell.algorithm && row.model == cell.model;
     });
-    EnergyRow& row = same != rows.end() ? *same
-                                        : rows.emplace_back(EnergyRow{cell.algorithm, cell.model, 0, refused});
+    EnergyRow& row = same != rows.end()
+                         ? *same
+                         : rows.emplace_back(EnergyRow{cell.algorithm, cell.model, 0, refused});
     row.frame_count += static_cast<int64_t>(cell.frame_ms.size());
   }
   warnings.push_back(
@@ -456,17 +472,18 @@ void warn_about_sampler(const SamplerCost& cost, std::vector<std::string>& warni
   const double missed_ratio =
       static_cast<double>(*cost.missed_tick_count) / static_cast<double>(*cost.tick_count);
   if (missed_ratio > 0.01)
-    warnings.push_back(fmt::format("The sampler missed {:.1f} % of its ticks: short events may be lost. "
-                                   "A lower rate or fewer sensors would help.",
-                                   100 * missed_ratio));
+    warnings.push_back(
+        fmt::format("The sampler missed {:.1f} % of its ticks: short events may be lost. "
+                    "A lower rate or fewer sensors would help.",
+                    100 * missed_ratio));
 }
 
 std::string headline(const Analysis& analysis) {
   if (analysis.ranking.empty()) {
     if (!analysis.cells.empty()) return "Frames were timed, but nothing can be ranked.";
-    const auto with_samples = std::count_if(
-        analysis.sensors.begin(), analysis.sensors.end(),
-        [](const SensorSummary& sensor) { return sensor.sample_count > 0; });
+    const auto with_samples =
+        std::count_if(analysis.sensors.begin(), analysis.sensors.end(),
+                      [](const SensorSummary& sensor) { return sensor.sample_count > 0; });
     return fmt::format("No timed frame was recorded; {} delivered samples.",
                        counted(static_cast<std::size_t>(with_samples), "sensor channel"));
   }

@@ -29,10 +29,10 @@ struct Flag {
 /// What the run was.
 struct RunFacts {
   std::optional<std::string> name;
-  std::optional<std::string> question;     ///< what the experiment is meant to answer
-  std::optional<std::string> verdict;      ///< the recorder's, on what can be sensed
-  std::optional<std::string> begin_utc;    ///< ISO 8601
-  std::optional<std::string> end_utc;      ///< ISO 8601
+  std::optional<std::string> question;   ///< what the experiment is meant to answer
+  std::optional<std::string> verdict;    ///< the recorder's, on what can be sensed
+  std::optional<std::string> begin_utc;  ///< ISO 8601
+  std::optional<std::string> end_utc;    ///< ISO 8601
   std::optional<std::string> code_version;
   std::optional<std::string> build_type;
   std::optional<std::string> driver;
@@ -61,7 +61,7 @@ struct Cell {
   std::string model;
   int64_t view = 0;
   std::string algorithm;
-  std::vector<double> frame_ms;      ///< in time order
+  std::vector<double> frame_ms;          ///< in time order
   std::vector<std::size_t> frame_index;  ///< of frame_ms, into RunRecord::frames
   double median_ms = 0;
   std::optional<Interval> median_interval_ms;  ///< 95 %; absent below 6 frames
@@ -86,7 +86,8 @@ struct Cell {
 struct RankingRow {
   std::string algorithm;
   int64_t rank = 0;
-  double score_ms = 0;  ///< mean over cells of weight_mean * truncated mean + weight_stddev * stddev
+  double score_ms =
+      0;  ///< mean over cells of weight_mean * truncated mean + weight_stddev * stddev
   Interval score_interval_ms;  ///< 95 %, bootstrap
   double normalized = 1;       ///< score / score of the best
   Interval normalized_interval;
@@ -95,7 +96,10 @@ struct RankingRow {
   int64_t cell_count = 0;
 };
 
-/// A timed frame that took more than twice its cell's baseline.
+/// A timed frame is an outlier when it takes more than this times its cell's baseline.
+inline constexpr double outlier_ratio = 2;
+
+/// A timed frame that is one.
 struct Outlier {
   std::size_t cell = 0;         ///< index into Analysis::cells
   std::size_t frame_index = 0;  ///< index into RunRecord::frames
@@ -117,14 +121,14 @@ struct Build {
 /// What one channel delivered.
 struct SensorSummary {
   Channel channel;
-  std::string unit;          ///< of the values below, as stored
+  std::string unit;  ///< of the values below, as stored
   int64_t sample_count = 0;
-  int64_t update_count = 0;  ///< samples that differ from the one before
-  std::optional<int64_t> poll_ns;    ///< median time between samples
-  std::optional<int64_t> update_ns;  ///< median time between changes
+  int64_t update_count = 0;                ///< samples that differ from the one before
+  std::optional<int64_t> poll_ns;          ///< median time between samples
+  std::optional<int64_t> update_ns;        ///< median time between changes
   std::optional<double> min, median, max;  ///< of the values as read
   std::optional<double> increase;          ///< cumulative channels: over the run, wraps undone
-  std::string status;  ///< "ok", "constant", "no samples", "went away"
+  std::string status;                      ///< "ok", "constant", "no samples", "went away"
 };
 
 /// A sensor that could not be read, and what would change that.
@@ -182,10 +186,11 @@ struct Analysis {
 /// - Frames of trials with a skip_reason are in no cell; each such trial is a warning.
 /// - A timed frame is an outlier when it takes more than twice the lower quartile of its cell. The
 ///   quartile, not the median: with more than half of the frames slowed the median is a slow frame.
-/// - The score is that of the paper this project follows: per model and view, weight_mean * truncated
-///   mean + weight_stddev * standard deviation of the frame times; averaged over the cells that every
-///   ranked algorithm has; divided by the best. Best value 1. Its interval is a seeded block bootstrap
-///   of the frames within each cell, 1000 replicates.
+/// - The score is that of the paper this project follows: per model and view, weight_mean *
+/// truncated
+///   mean + weight_stddev * standard deviation of the frame times; averaged over the cells that
+///   every ranked algorithm has; divided by the best. Best value 1. Its interval is a seeded block
+///   bootstrap of the frames within each cell: 1000 replicates, down to 200 beyond 20,000 frames.
 Analysis analyze(const RunRecord& run);
 
 }  // namespace energyprof::analysis

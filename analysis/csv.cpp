@@ -42,14 +42,16 @@ void write_frames_csv(const RunRecord& run, std::ostream& out) {
       out << ",,,,,,";
     } else {
       const Trial& trial = *found->second;
-      fmt::print(out, "{},{},{},{},{},{},", quoted(trial.model), trial.view, quoted(trial.algorithm),
-                 trial.repetition, trial.position, quoted(trial.skip_reason));
+      fmt::print(out, "{},{},{},{},{},{},", quoted(trial.model), trial.view,
+                 quoted(trial.algorithm), trial.repetition, trial.position,
+                 quoted(trial.skip_reason));
     }
-    fmt::print(out, "{},{},{},{},{},{},{},{},{},{},{},{},{}\r\n", frame.frame, to_string(frame.phase),
-               frame.submit_ns, frame.begin_ns, frame.end_ns, field(frame.clock_error_ns),
-               field(frame.ray_count), field(frame.hit_count), quoted(frame.hit_checksum),
-               field(frame.node_visit_count), field(frame.box_test_count),
-               field(frame.prim_test_count), field(frame.dispatch_count));
+    fmt::print(out, "{},{},{},{},{},{},{},{},{},{},{},{},{}\r\n", frame.frame,
+               to_string(frame.phase), frame.submit_ns, frame.begin_ns, frame.end_ns,
+               field(frame.clock_error_ns), field(frame.ray_count), field(frame.hit_count),
+               quoted(frame.hit_checksum), field(frame.node_visit_count),
+               field(frame.box_test_count), field(frame.prim_test_count),
+               field(frame.dispatch_count));
   }
 }
 
@@ -58,8 +60,9 @@ void write_samples_csv(const RunRecord& run, std::ostream& out) {
   for (const Channel& channel : run.channels) {
     const auto found = run.series.find(channel.id);
     if (found == run.series.end()) continue;
-    const std::string labels = fmt::format("{},{},{}", quoted(channel.name),
-                                           to_string(channel.quantity), quoted(stored_unit(channel)));
+    const std::string labels =
+        fmt::format("{},{},{}", quoted(channel.name), to_string(channel.quantity),
+                    quoted(stored_unit(channel)));
     const SampleSeries& series = found->second;
     for (std::size_t i = 0; i < series.t_ns.size(); ++i)
       fmt::print(out, "{},{},{}\r\n", series.t_ns[i], labels, series.value[i]);

@@ -14,8 +14,8 @@ struct Prefix {
   double factor;
   std::string_view symbol;
 };
-constexpr std::array prefixes{Prefix{1e12, "T"}, Prefix{1e9, "G"},   Prefix{1e6, "M"},
-                              Prefix{1e3, "k"},  Prefix{1, ""},      Prefix{1e-3, "m"},
+constexpr std::array prefixes{Prefix{1e12, "T"}, Prefix{1e9, "G"},  Prefix{1e6, "M"},
+                              Prefix{1e3, "k"},  Prefix{1, ""},     Prefix{1e-3, "m"},
                               Prefix{1e-6, "µ"}, Prefix{1e-9, "n"}, Prefix{1e-12, "p"}};
 
 /// Three significant digits of a value from 1 to 999, trailing zeros kept.
@@ -48,12 +48,17 @@ std::string scaled_stored(double value, std::string_view stored_unit) {
     return stored_unit == "1" ? plain(value) : fmt::format("{} {}", plain(value), stored_unit);
   const UnitInfo& info = unit_info(*unit);
   switch (*unit) {
-    case Unit::count: return plain(value);
-    case Unit::percent: return fmt::format("{} %", plain(value));
-    case Unit::permille: return fmt::format("{:.1f} %", value * 0.1);
+    case Unit::count:
+      return plain(value);
+    case Unit::percent:
+      return fmt::format("{} %", plain(value));
+    case Unit::permille:
+      return fmt::format("{:.1f} %", value * 0.1);
     case Unit::celsius:
-    case Unit::millicelsius: return fmt::format("{:.1f} °C", value * info.to_si);
-    default: return scaled(value * info.to_si, info.si);
+    case Unit::millicelsius:
+      return fmt::format("{:.1f} °C", value * info.to_si);
+    default:
+      return scaled(value * info.to_si, info.si);
   }
 }
 

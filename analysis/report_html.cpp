@@ -60,8 +60,8 @@ double seconds(const Analysis& analysis, int64_t t_ns) {
 /// Per cell the points [seconds, ms, frame, is outlier], null between two trials.
 json frame_points(const RunRecord& run, const Analysis& analysis) {
   json cells = json::array();
-  const std::size_t limit =
-      std::max<std::size_t>(200, max_frame_points / std::max<std::size_t>(1, analysis.cells.size()));
+  const std::size_t limit = std::max<std::size_t>(
+      200, max_frame_points / std::max<std::size_t>(1, analysis.cells.size()));
   for (const Cell& cell : analysis.cells) {
     std::vector<int64_t> begin_ns;
     for (std::size_t i : cell.frame_index) begin_ns.push_back(run.frames[i].begin_ns);
@@ -71,9 +71,9 @@ json frame_points(const RunRecord& run, const Analysis& analysis) {
       const FrameRecord& frame = run.frames[cell.frame_index[i]];
       if (trial_id && *trial_id != frame.trial_id) points.push_back(nullptr);
       trial_id = frame.trial_id;
-      const bool outlier = cell.frame_ms[i] > 2 * cell.baseline_ms;
-      points.push_back({seconds(analysis, frame.begin_ns), short_number(cell.frame_ms[i]), frame.frame,
-                        outlier ? 1 : 0});
+      const bool outlier = cell.frame_ms[i] > outlier_ratio * cell.baseline_ms;
+      points.push_back({seconds(analysis, frame.begin_ns), short_number(cell.frame_ms[i]),
+                        frame.frame, outlier ? 1 : 0});
     }
     cells.push_back(std::move(points));
   }
@@ -90,6 +90,7 @@ struct Drawn {
 std::optional<Drawn> draw(const Channel& channel, const SampleSeries& series) {
   Drawn drawn;
   drawn.title = to_string(channel.quantity);
+  std::replace(drawn.title.begin(), drawn.title.end(), '_', ' ');
   std::string si(unit_info(channel.unit).si);
   if (channel.kind == Kind::cumulative) {
     auto curve = rate(channel, series);
@@ -97,8 +98,9 @@ std::optional<Drawn> draw(const Channel& channel, const SampleSeries& series) {
     drawn.curve = std::move(*curve);
     si = drawn.curve.unit;
     drawn.title = si == "W" ? "power, from energy counters" : drawn.title + ", rate of counters";
-    drawn.note = "Counters are shown as their mean rate over windows of at least 20 polls and 20 updates "
-                 "of the sensor.";
+    drawn.note =
+        "Counters are shown as their mean rate over windows of at least 20 polls and 20 updates "
+        "of the sensor.";
   } else {
     const double factor = unit_info(channel.unit).to_si;
     drawn.curve = changes_only({series.t_ns, series.value, ""});
@@ -152,7 +154,8 @@ std::pair<json, json> sensor_tracks(const RunRecord& run, const Analysis& analys
   }
   json list = json::array();
   for (auto& [key, track] : tracks) list.push_back(std::move(track));
-  return {std::move(list), {{"constant", std::move(constant)}, {"too_short", std::move(too_short)}}};
+  return {std::move(list),
+          {{"constant", std::move(constant)}, {"too_short", std::move(too_short)}}};
 }
 
 /// The sensor table's cells as words.
@@ -208,8 +211,10 @@ std::string script_json(const json& data) {
   std::string result;
   result.reserve(text.size() + text.size() / 64);
   for (char c : text) {
-    if (c == '<') result += "\\u003c";
-    else result += c;
+    if (c == '<')
+      result += "\\u003c";
+    else
+      result += c;
   }
   return result;
 }
@@ -218,11 +223,20 @@ std::string html_text(std::string_view text) {
   std::string result;
   for (char c : text) {
     switch (c) {
-      case '<': result += "&lt;"; break;
-      case '>': result += "&gt;"; break;
-      case '&': result += "&amp;"; break;
-      case '"': result += "&quot;"; break;
-      default: result += c;
+      case '<':
+        result += "&lt;";
+        break;
+      case '>':
+        result += "&gt;";
+        break;
+      case '&':
+        result += "&amp;";
+        break;
+      case '"':
+        result += "&quot;";
+        break;
+      default:
+        result += c;
     }
   }
   return result;

@@ -14,8 +14,8 @@ struct ReportImage {
   std::string png;    ///< the bytes of the file
 };
 
-/// The page. Curves are thinned to about 2,000 points per channel, lowest and highest values kept, and
-/// fewer with many channels; images are left out, and counted, beyond 3 MiB together.
+/// The page. Curves are thinned to about 2,000 points per channel, lowest and highest values kept,
+/// and fewer with many channels; images are left out, and counted, beyond 3 MiB together.
 std::string report_html(const RunRecord& run, const Analysis& analysis,
                         const std::vector<ReportImage>& images = {});
 

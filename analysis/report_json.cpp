@@ -25,7 +25,8 @@ json estimate(std::optional<double> value, const std::optional<Interval>& interv
 json run_json(const RunRecord& run, const Analysis& analysis) {
   const RunFacts& facts = analysis.run;
   json flags = json::array();
-  for (const Flag& flag : analysis.flags) flags.push_back({{"label", flag.label}, {"text", flag.text}});
+  for (const Flag& flag : analysis.flags)
+    flags.push_back({{"label", flag.label}, {"text", flag.text}});
   return {{"name", or_null(facts.name)},
           {"question", or_null(facts.question)},
           {"headline", analysis.headline},
@@ -113,19 +114,12 @@ json cell_json(const Cell& cell) {
 json outlier_json(const RunRecord& run, const Analysis& analysis, const Outlier& outlier) {
   const Cell& cell = analysis.cells[outlier.cell];
   const FrameRecord& frame = run.frames[outlier.frame_index];
-  return {{"frame_id", outlier.frame_id},
-          {"trial_id", frame.trial_id},
-          {"frame", frame.frame},
-          {"begin_ns", frame.begin_ns},
-          {"model", cell.model},
-          {"view", cell.view},
-          {"algorithm", cell.algorithm},
-          {"frame_ms", outlier.frame_ms},
-          {"ratio", outlier.ratio},
-          {"excess_ms", outlier.excess_ms},
-          {"cause", "unexplained"},
-          {"confidence", nullptr},
-          {"evidence", json::array()}};
+  return {
+      {"frame_id", outlier.frame_id},   {"trial_id", frame.trial_id},   {"frame", frame.frame},
+      {"begin_ns", frame.begin_ns},     {"model", cell.model},          {"view", cell.view},
+      {"algorithm", cell.algorithm},    {"frame_ms", outlier.frame_ms}, {"ratio", outlier.ratio},
+      {"excess_ms", outlier.excess_ms}, {"cause", "unexplained"},       {"confidence", nullptr},
+      {"evidence", json::array()}};
 }
 
 json build_json(const Build& build) {
@@ -142,16 +136,11 @@ json build_json(const Build& build) {
 
 json energy_json(const EnergyRow& row) {
   const json unknown = estimate(std::nullopt, std::nullopt);
-  return {{"algorithm", row.algorithm},
-          {"model", row.model},
-          {"frames", row.frame_count},
-          {"joules_per_frame", unknown},
-          {"nj_per_ray", unknown},
-          {"edp_js", nullptr},
-          {"idle_w", nullptr},
-          {"gross_joules_per_frame", unknown},
-          {"channel", nullptr},
-          {"refused", row.refused}};
+  return {{"algorithm", row.algorithm}, {"model", row.model},
+          {"frames", row.frame_count},  {"joules_per_frame", unknown},
+          {"nj_per_ray", unknown},      {"edp_js", nullptr},
+          {"idle_w", nullptr},          {"gross_joules_per_frame", unknown},
+          {"channel", nullptr},         {"refused", row.refused}};
 }
 
 json event_json(const Event& event, int64_t begin_ns) {
@@ -192,7 +181,8 @@ json report_json(const RunRecord& run, const Analysis& analysis) {
   });
   report["sensors"] = list(analysis.sensors, sensor_json);
   report["missing_sensors"] = list(analysis.missing_sensors, [](const MissingSensor& missing) {
-    return json{{"source", missing.source}, {"reason", missing.reason}, {"fix", text_or_null(missing.fix)}};
+    return json{
+        {"source", missing.source}, {"reason", missing.reason}, {"fix", text_or_null(missing.fix)}};
   });
   report["sampler"] = sampler_json(analysis.sampler);
   report["warnings"] = analysis.warnings;
@@ -209,8 +199,9 @@ json report_json(const RunRecord& run, const Analysis& analysis) {
   report["correlations"] = json::array();
   report["coincidence"] = nullptr;
   report["factors"] = json::array();
-  report["events"] = list(
-      analysis.events, [&](const Event& event) { return event_json(event, analysis.run.begin_ns); });
+  report["events"] = list(analysis.events, [&](const Event& event) {
+    return event_json(event, analysis.run.begin_ns);
+  });
   return report;
 }
 

@@ -21,11 +21,19 @@ std::string escaped(std::string_view text) {
   std::string result;
   for (char c : text) {
     switch (c) {
-      case '<': result += "&lt;"; break;
-      case '>': result += "&gt;"; break;
-      case '&': result += "&amp;"; break;
+      case '<':
+        result += "&lt;";
+        break;
+      case '>':
+        result += "&gt;";
+        break;
+      case '&':
+        result += "&amp;";
+        break;
       case '\n':
-      case '\r': result += ' '; break;
+      case '\r':
+        result += ' ';
+        break;
       case '|':
       case '*':
       case '`':
@@ -35,7 +43,8 @@ std::string escaped(std::string_view text) {
         result += '\\';
         result += c;
         break;
-      default: result += c;
+      default:
+        result += c;
     }
   }
   return result;
@@ -95,13 +104,14 @@ std::string member(const nlohmann::json& object, const char* key) {
 void write_top(Page& page, const RunRecord& run, const Analysis& analysis) {
   const RunFacts& facts = analysis.run;
   page.line("# energyprof: {}\n", facts.name ? escaped(*facts.name) : "run without a name");
-  for (const Flag& flag : analysis.flags) page.line("> **{}** {}\n", flag.label, escaped(flag.text));
+  for (const Flag& flag : analysis.flags)
+    page.line("> **{}** {}\n", flag.label, escaped(flag.text));
   page.line("**{}**\n", escaped(analysis.headline));
   if (facts.verdict) page.line("{}\n", escaped(*facts.verdict));
   if (facts.question) page.line("Question: {}\n", escaped(*facts.question));
   page.table({"", ""});
   page.row({"device", member(facts.device, "name")});
-  page.row({"driver", text(facts.driver)});
+  page.row({"driver", facts.driver ? text(facts.driver) : member(facts.device, "driver")});
   page.row({"CPU", member(facts.host, "cpu")});
   page.row({"kernel", member(facts.host, "kernel")});
   page.row({"begin", text(facts.begin_utc)});
@@ -114,16 +124,17 @@ void write_top(Page& page, const RunRecord& run, const Analysis& analysis) {
 
 void write_ranking(Page& page, const Analysis& analysis) {
   page.heading("Ranking");
+  if (analysis.cells.empty()) return page.line("No timed frame was recorded.");
   if (analysis.ranking.empty()) return page.line("Nothing to rank; the warnings say why.");
   page.table({">rank", "algorithm", ">score \\[ms\\]", ">95 % \\[ms\\]", ">normalized", ">95 %",
               ">truncated mean \\[ms\\]", ">stddev \\[ms\\]"});
   for (const RankingRow& row : analysis.ranking)
-    page.row({fmt::format("{}", row.rank), escaped(row.algorithm), ms(row.score_ms),
-              fmt::format("{:.3f} to {:.3f}", row.score_interval_ms.low, row.score_interval_ms.high),
-              fmt::format("{:.3f}", row.normalized),
-              fmt::format("{:.3f} to {:.3f}", row.normalized_interval.low,
-                          row.normalized_interval.high),
-              ms(row.truncated_mean_ms), ms(row.stddev_ms)});
+    page.row(
+        {fmt::format("{}", row.rank), escaped(row.algorithm), ms(row.score_ms),
+         fmt::format("{:.3f} to {:.3f}", row.score_interval_ms.low, row.score_interval_ms.high),
+         fmt::format("{:.3f}", row.normalized),
+         fmt::format("{:.3f} to {:.3f}", row.normalized_interval.low, row.normalized_interval.high),
+         ms(row.truncated_mean_ms), ms(row.stddev_ms)});
   page.line("\n{} Cells: {}.", score_text(analysis), analysis.ranking.front().cell_count);
 }
 
@@ -136,16 +147,16 @@ void write_cells(Page& page, const Analysis& analysis) {
   if (analysis.cells.empty()) return;
   page.heading("Frame times");
   page.table({"model", ">view", "algorithm", ">frames", ">median \\[ms\\]", ">95 % \\[ms\\]",
-              ">truncated mean \\[ms\\]", ">stddev \\[ms\\]", ">outliers", ">Mrays/s", ">hits \\[%\\]",
-              "checksums"});
+              ">truncated mean \\[ms\\]", ">stddev \\[ms\\]", ">outliers", ">Mrays/s",
+              ">hits \\[%\\]", "checksums"});
   for (const Cell& cell : analysis.cells) {
     const auto& interval = cell.median_interval_ms;
     page.row({escaped(cell.model), fmt::format("{}", cell.view), escaped(cell.algorithm),
               fmt::format("{}", cell.frame_ms.size()), ms(cell.median_ms),
               interval ? fmt::format("{:.3f} to {:.3f}", interval->low, interval->high) : "-",
               ms(cell.truncated_mean_ms), ms(cell.stddev_ms), fmt::format("{}", cell.outlier_count),
-              number(cell.mrays_per_s, 2),
-              cell.hit_ratio ? number(100 * *cell.hit_ratio, 1) : "-", agreement(cell)});
+              number(cell.mrays_per_s, 2), cell.hit_ratio ? number(100 * *cell.hit_ratio, 1) : "-",
+              agreement(cell)});
   }
 }
 
@@ -158,9 +169,8 @@ void write_outliers(Page& page, const RunRecord& run, const Analysis& analysis) 
   if (analysis.outliers.empty())
     return page.line("No timed frame took more than twice the lower quartile of its cell.");
   std::vector<Outlier> worst = analysis.outliers;
-  std::stable_sort(worst.begin(), worst.end(), [](const Outlier& a, const Outlier& b) {
-    return a.excess_ms > b.excess_ms;
-  });
+  std::stable_sort(worst.begin(), worst.end(),
+                   [](const Outlier& a, const Outlier& b) { return a.excess_ms > b.excess_ms; });
   page.line("{} took more than twice the lower quartile of their cell; the slowest first.\n",
             counted(worst.size(), "timed frame"));
   page.table({">frame", "model", ">view", "algorithm", ">time", ">ratio", ">excess", "cause"});
@@ -193,7 +203,8 @@ void write_sensors(Page& page, const Analysis& analysis) {
     page.row({escaped(sensor.channel.name), std::string(to_string(sensor.channel.quantity)),
               escaped(sensor.unit), fmt::format("{}", sensor.sample_count),
               fmt::format("{}", sensor.update_count), duration_text(sensor.poll_ns),
-              duration_text(sensor.channel.read_cost_ns), escaped(values_text(sensor)), sensor.status});
+              duration_text(sensor.channel.read_cost_ns), escaped(values_text(sensor)),
+              sensor.status});
 
   page.heading("What could not be seen");
   if (analysis.missing_sensors.empty()) page.line("The recorder lists no missing sensor.");

@@ -22,10 +22,9 @@ std::string values_text(const SensorSummary& sensor) {
 std::vector<std::string> sampler_text(const SamplerCost& cost) {
   std::vector<std::string> lines;
   if (cost.cpu_ns)
-    lines.push_back(
-        fmt::format("The sampler used {} of CPU time{}.", duration_text(cost.cpu_ns),
-                    cost.core_ratio ? fmt::format(", {:.2f} % of one core", 100 * *cost.core_ratio)
-                                    : ""));
+    lines.push_back(fmt::format(
+        "The sampler used {} of CPU time{}.", duration_text(cost.cpu_ns),
+        cost.core_ratio ? fmt::format(", {:.2f} % of one core", 100 * *cost.core_ratio) : ""));
   if (cost.tick_count && cost.missed_tick_count)
     lines.push_back(
         fmt::format("Of {} ticks it missed {}.", *cost.tick_count, *cost.missed_tick_count));
@@ -38,8 +37,10 @@ std::vector<std::string> sampler_text(const SamplerCost& cost) {
 std::string score_text(const Analysis& analysis) {
   const ScoreConfig& score = analysis.score;
   return fmt::format(
-      "Score = {} × mean of the middle {:.3g} % of the frame times + {} × their standard deviation, "
-      "per model and view; averaged over the models and views that every algorithm has been timed on; "
+      "Score = {} × mean of the middle {:.3g} % of the frame times + {} × their standard "
+      "deviation, "
+      "per model and view; averaged over the models and views that every algorithm has been timed "
+      "on; "
       "normalized: divided by the best.",
       score.weight_mean, 100 * (1 - score.truncate), score.weight_stddev);
 }

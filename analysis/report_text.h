@@ -12,8 +12,8 @@ namespace energyprof::analysis {
 /// "3.10 ms", or "unknown".
 std::string duration_text(std::optional<int64_t> duration_ns);
 
-/// What a channel read: "rose by 34.1 J" or "1.20 GHz / 2.10 GHz / 2.40 GHz" (min / median / max); "-"
-/// without samples.
+/// What a channel read: "rose by 34.1 J" or "1.20 GHz / 2.10 GHz / 2.40 GHz" (min / median / max);
+/// "-" without samples.
 std::string values_text(const SensorSummary& sensor);
 
 /// One sentence per known number of `cost`; empty when nothing is known.

@@ -28,7 +28,8 @@ class Meta {
     const char* end = stored->data() + stored->size();
     const auto parsed = std::from_chars(stored->data(), end, value);
     if (parsed.ec == std::errc() && parsed.ptr == end) return value;
-    warnings_.push_back(fmt::format("meta {}: '{}' is not a whole number; taken as unknown.", key, *stored));
+    warnings_.push_back(
+        fmt::format("meta {}: '{}' is not a whole number; taken as unknown.", key, *stored));
     return std::nullopt;
   }
 
@@ -98,8 +99,8 @@ double number_or(const nlohmann::json& object, const char* key, double fallback,
     const auto value = found->get<double>();
     if (value >= 0 && (value < 1 || !below_one)) return value;
   }
-  warnings.push_back(fmt::format("config: /analysis/{}: {} is out of range; {} is used instead.", key,
-                                 found->dump(), fallback));
+  warnings.push_back(fmt::format("config: /analysis/{}: {} is out of range; {} is used instead.",
+                                 key, found->dump(), fallback));
   return fallback;
 }
 
@@ -107,9 +108,12 @@ double number_or(const nlohmann::json& object, const char* key, double fallback,
 
 std::string_view to_string(Ending ending) {
   switch (ending) {
-    case Ending::complete: return "complete";
-    case Ending::interrupted: return "interrupted";
-    case Ending::unfinished: return "unfinished";
+    case Ending::complete:
+      return "complete";
+    case Ending::interrupted:
+      return "interrupted";
+    case Ending::unfinished:
+      return "unfinished";
   }
   return "unfinished";
 }
@@ -148,23 +152,28 @@ RunFacts read_facts(const RunRecord& run, std::vector<std::string>& warnings) {
 std::vector<Flag> read_flags(const RunFacts& facts) {
   std::vector<Flag> flags;
   if (facts.simulated)
-    flags.push_back({"SIMULATED", "Sensor values come from files, not from this machine's sensors."});
+    flags.push_back(
+        {"SIMULATED", "Sensor values come from files, not from this machine's sensors."});
   if (facts.quick)
-    flags.push_back({"QUICK", facts.quick_note.value_or(
-                                  "The work was capped to end in about a minute: see how it runs, do "
-                                  "not quote the numbers.")});
+    flags.push_back(
+        {"QUICK", facts.quick_note.value_or(
+                      "The work was capped to end in about a minute: see how it runs, do "
+                      "not quote the numbers.")});
   if (facts.ending == Ending::interrupted)
-    flags.push_back({"INTERRUPTED", "The run was stopped early; what was measured until then is here."});
+    flags.push_back(
+        {"INTERRUPTED", "The run was stopped early; what was measured until then is here."});
   if (facts.ending == Ending::unfinished)
-    flags.push_back({"UNFINISHED",
-                     "No end is recorded: the run was killed, or its writer records none. Up to the "
-                     "last second may be missing."});
+    flags.push_back(
+        {"UNFINISHED",
+         "No end is recorded: the run was killed, or its writer records none. Up to the "
+         "last second may be missing."});
   std::string type = text_member(facts.device, "type");
   std::transform(type.begin(), type.end(), type.begin(),
                  [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
   if (type == "cpu")
-    flags.push_back({"NOT A GPU", "The device is a CPU that runs Vulkan in software: times compare the "
-                                  "algorithms on it, and say nothing about a GPU."});
+    flags.push_back({"NOT A GPU",
+                     "The device is a CPU that runs Vulkan in software: times compare the "
+                     "algorithms on it, and say nothing about a GPU."});
   if (facts.build_type == "Debug")
     flags.push_back({"DEBUG BUILD", "The recorder was built without optimization."});
   return flags;

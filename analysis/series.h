@@ -40,13 +40,15 @@ struct Curve {
 };
 
 /// The mean rate of a cumulative channel, in SI per second (watts for an energy counter), over
-/// consecutive windows; each value stands at the end of its window. A window spans at least 20 polls
-/// and 20 updates of the sensor (updates slower than 100 ms count as 100 ms), so that the two updates
-/// its ends may be off by are at most a tenth of it. nullopt when the series is too short for one.
+/// consecutive windows; each value stands at the end of its window. A window spans at least 20
+/// polls and 20 updates of the sensor (updates slower than 100 ms count as 100 ms), so that the two
+/// updates its ends may be off by are at most a tenth of it. nullopt when the series is too short
+/// for one.
 std::optional<Curve> rate(const Channel& channel, const SampleSeries& series);
 
-/// Which points to keep of a curve, in time order, so that at most `max_count` (at least 2) are left: of
-/// each of max_count / 2 equal stretches of time the lowest and the highest. All of a shorter curve.
+/// Which points to keep of a curve, in time order, so that at most `max_count` (at least 2) are
+/// left: of each of max_count / 2 equal stretches of time the lowest and the highest. All of a
+/// shorter curve.
 std::vector<std::size_t> thin_points(const std::vector<int64_t>& t_ns,
                                      const std::vector<double>& value, std::size_t max_count);
 

@@ -40,12 +40,15 @@ double mean(std::span<const double> values) {
 
 double truncated_mean(std::span<const double> values, double truncate) {
   assert(!values.empty() && truncate >= 0 && truncate < 1);
-  const std::vector<double> ordered = sorted(values);
+  std::vector<double> parted(values.begin(), values.end());
   // A share that is a whole number of values on paper stays one in binary.
-  const double exact = static_cast<double>(ordered.size()) * truncate / 2;
-  const auto dropped = static_cast<std::size_t>(std::floor(exact + 1e-9));
-  const auto kept = std::span(ordered).subspan(dropped, ordered.size() - 2 * dropped);
-  return mean(kept);
+  const double exact = static_cast<double>(parted.size()) * truncate / 2;
+  const auto dropped = static_cast<std::ptrdiff_t>(std::floor(exact + 1e-9));
+  const auto kept_begin = parted.begin() + dropped;
+  const auto kept_end = parted.end() - dropped;
+  std::nth_element(parted.begin(), kept_begin, parted.end());
+  if (dropped > 0) std::nth_element(kept_begin, kept_end, parted.end());
+  return mean({kept_begin, kept_end});
 }
 
 std::optional<double> stddev(std::span<const double> values) {
@@ -73,8 +76,8 @@ std::optional<Interval> median_interval(std::span<const double> values, double l
 void resample_blocks(std::span<const double> values, std::mt19937_64& random,
                      std::span<double> out) {
   assert(!values.empty());
-  const auto block =
-      static_cast<std::size_t>(std::ceil(std::cbrt(static_cast<double>(values.size()))));
+  std::size_t block = 1;
+  while (block * block * block < values.size()) ++block;
   std::size_t at = 0;
   for (std::size_t i = 0; i < out.size(); ++i) {
     at = i % block == 0 ? random() % values.size() : (at + 1) % values.size();

@@ -47,23 +47,23 @@ class Writer {
     metadata(pid, tid, "thread_name", {{"name", name}});
     metadata(pid, tid, "thread_sort_index", {{"sort_index", tid}});
   }
-  void slice(int tid, const std::string& name, const char* category, int64_t begin_ns, int64_t end_ns,
-             const json& args) {
-    event(fmt::format(R"({{"ph":"X","pid":{},"tid":{},"name":{},"cat":"{}","ts":{},"dur":{},"args":{}}})",
-                      work_pid, tid, dump(name), category, us(begin_ns - origin_ns_),
-                      us(end_ns - begin_ns), dump(args)));
+  void slice(int tid, const std::string& name, const char* category, int64_t begin_ns,
+             int64_t end_ns, const json& args) {
+    event(fmt::format(
+        R"({{"ph":"X","pid":{},"tid":{},"name":{},"cat":"{}","ts":{},"dur":{},"args":{}}})",
+        work_pid, tid, dump(name), category, us(begin_ns - origin_ns_), us(end_ns - begin_ns),
+        dump(args)));
   }
   void counter(int pid, const std::string& quoted_name, int64_t t_ns, double value) {
-    event(fmt::format(R"({{"ph":"C","pid":{},"tid":0,"name":{},"ts":{},"args":{{"value":{}}}}})", pid,
-                      quoted_name, us(t_ns - origin_ns_), value));
+    event(fmt::format(R"({{"ph":"C","pid":{},"tid":0,"name":{},"ts":{},"args":{{"value":{}}}}})",
+                      pid, quoted_name, us(t_ns - origin_ns_), value));
   }
   void instant(const std::string& name, const char* category, int64_t t_ns, const json& args) {
-    event(fmt::format(R"({{"ph":"i","s":"g","pid":{},"tid":{},"name":{},"cat":"{}","ts":{},"args":{}}})",
-                      work_pid, events_tid, dump(name), category, us(t_ns - origin_ns_), dump(args)));
+    event(fmt::format(
+        R"({{"ph":"i","s":"g","pid":{},"tid":{},"name":{},"cat":"{}","ts":{},"args":{}}})",
+        work_pid, events_tid, dump(name), category, us(t_ns - origin_ns_), dump(args)));
   }
-  void finish(const json& metadata) {
-    out_ << "\n],\n\"otherData\":" << dump(metadata) << "}\n";
-  }
+  void finish(const json& metadata) { out_ << "\n],\n\"otherData\":" << dump(metadata) << "}\n"; }
 
  private:
   void metadata(int pid, int tid, const char* kind, const json& args) {
@@ -87,7 +87,8 @@ void put(json& args, const char* key, const std::optional<T>& value) {
   if (value) args[key] = *value;
 }
 
-/// Begin and end of anything recorded, so that no time in the file is negative and open ends have one.
+/// Begin and end of anything recorded, so that no time in the file is negative and open ends have
+/// one.
 struct Range {
   int64_t begin_ns = 0;
   int64_t end_ns = 0;
@@ -113,11 +114,11 @@ Range time_range(const RunRecord& run, const RunFacts& facts) {
 /// Keeps the slices of one track apart.
 class Track {
  public:
-  /// [begin_ns, end_ns) without what lies before the end of the slice before; notes a cut in `args`.
+  /// [begin_ns, end_ns) without what lies before the end of the slice before; notes a cut in
+  /// `args`.
   Range place(int64_t begin_ns, int64_t end_ns, json& args) {
     const int64_t start_ns = std::max(begin_ns, free_ns_);
-    if (start_ns != begin_ns)
-      args["moved_by_us"] = static_cast<double>(start_ns - begin_ns) * 1e-3;
+    if (start_ns != begin_ns) args["moved_by_us"] = static_cast<double>(start_ns - begin_ns) * 1e-3;
     free_ns_ = std::max(start_ns, end_ns);
     return {start_ns, free_ns_};
   }
@@ -152,9 +153,9 @@ void write_trials(const RunRecord& run, const Range& range, Writer& writer) {
     const int64_t open_end_ns = i + 1 < trials.size() ? trials[i + 1]->begin_ns : range.end_ns;
     json args = trial_args(trial);
     const Range slice = track.place(trial.begin_ns, trial.end_ns.value_or(open_end_ns), args);
-    const std::string name = fmt::format("{}{}, view {}, {}",
-                                         trial.skip_reason.empty() ? "" : "skipped: ", trial.model,
-                                         trial.view, trial.algorithm);
+    const std::string name =
+        fmt::format("{}{}, view {}, {}", trial.skip_reason.empty() ? "" : "skipped: ", trial.model,
+                    trial.view, trial.algorithm);
     writer.slice(trials_tid, name, "trial", slice.begin_ns, slice.end_ns, args);
   }
 }
@@ -215,7 +216,8 @@ void write_channel(const Channel& channel, const SampleSeries& series, const Tim
   write_curve(pid, fmt::format("{} [{}]", channel.name, curve.unit), curve, writer);
   if (channel.quantity != Quantity::energy || channel.kind != Kind::cumulative) return;
   const auto power = rate(channel, series);
-  if (power) write_curve(pid, fmt::format("{} as power [{}]", channel.name, power->unit), *power, writer);
+  if (power)
+    write_curve(pid, fmt::format("{} as power [{}]", channel.name, power->unit), *power, writer);
 }
 
 void write_channels(const RunRecord& run, const TimelineConfig& config, Writer& writer) {
@@ -244,9 +246,10 @@ json file_metadata(const RunFacts& facts, const Range& range, const TimelineConf
   for (const Flag& flag : read_flags(facts)) flags.push_back(flag.label);
   const std::string samples =
       config.full ? "every sample"
-                  : fmt::format("changes only; beyond {} per channel the lowest and the highest of "
-                                "equal stretches of time",
-                                config.max_point_count);
+                  : fmt::format(
+                        "changes only; beyond {} per channel the lowest and the highest of "
+                        "equal stretches of time",
+                        config.max_point_count);
   json metadata{{"producer", "energyprof"},
                 {"device", facts.device},
                 {"host", facts.host},

@@ -2,8 +2,8 @@
 ///
 /// See "Trace Event Format", by the Chromium authors, 2016. Process 1 holds a track of trials and a
 /// track of frames; every quantity is a process with one counter track per channel, the unit in its
-/// name. Energy counters have a second track, their power. Times are microseconds since the run's begin
-/// (or since the earliest time recorded, if that is before), with three decimals.
+/// name. Energy counters have a second track, their power. Times are microseconds since the run's
+/// begin (or since the earliest time recorded, if that is before), with three decimals.
 #pragma once
 
 #include <cstddef>
@@ -15,14 +15,14 @@ namespace energyprof::analysis {
 
 /// How much of a run a timeline holds.
 struct TimelineConfig {
-  /// Keep every sample. Otherwise only changes of value, and of more than max_point_count changes the
-  /// lowest and the highest of equal stretches of time; the file's metadata says which it is.
+  /// Keep every sample. Otherwise only changes of value, and of more than max_point_count changes
+  /// the lowest and the highest of equal stretches of time; the file's metadata says which it is.
   bool full = false;
   std::size_t max_point_count = 5000;  ///< per channel
 };
 
-/// Writes the timeline piece by piece. Slices on a track never overlap: one that would begin before the
-/// end of the one before it (clock errors can do that) begins there, and says so in its args.
+/// Writes the timeline piece by piece. Slices on a track never overlap: one that would begin before
+/// the end of the one before it (clock errors can do that) begins there, and says so in its args.
 void write_timeline(const RunRecord& run, std::ostream& out, const TimelineConfig& config = {});
 
 }  // namespace energyprof::analysis

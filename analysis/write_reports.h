@@ -10,13 +10,15 @@
 namespace energyprof::analysis {
 
 /// Writes timeline.json, report.json, report.md and report.html into `directory` and returns their
-/// paths. Pictures in directory/images/*.png go into the page, by name. Each file appears under its name
-/// only when it is complete. Throws std::runtime_error naming the file and the system's reason.
+/// paths. Pictures in directory/images/*.png go into the page, by name. Each file appears under its
+/// name only when it is complete. Throws std::runtime_error naming the file and the system's
+/// reason.
 std::vector<std::filesystem::path> write_reports(const RunRecord& run, const Analysis& analysis,
                                                  const std::filesystem::path& directory,
                                                  const TimelineConfig& timeline = {});
 
-/// Writes frames.csv and samples.csv into `directory`, which is made if need be; as write_reports().
+/// Writes frames.csv and samples.csv into `directory`, which is made if need be; as
+/// write_reports().
 std::vector<std::filesystem::path> export_csv(const RunRecord& run,
                                               const std::filesystem::path& directory);
 

@@ -44,20 +44,19 @@ void print_summary(const analysis::Analysis& result) {
     fmt::print("{:<24} {:>4}  {:<16} {:>6} {:>11} {:>22} {:>11} {:>9}\n", "model", "view",
                "algorithm", "frames", "median ms", "95 % interval ms", "stddev ms", "Mrays/s");
   for (const analysis::Cell& cell : result.cells) {
-    const std::string interval =
-        cell.median_interval_ms
-            ? fmt::format("{:.3f} to {:.3f}", cell.median_interval_ms->low,
-                          cell.median_interval_ms->high)
-            : "-";
+    const std::string interval = cell.median_interval_ms
+                                     ? fmt::format("{:.3f} to {:.3f}", cell.median_interval_ms->low,
+                                                   cell.median_interval_ms->high)
+                                     : "-";
     fmt::print("{:<24} {:>4}  {:<16} {:>6} {:>11.3f} {:>22} {:>11} {:>9}\n", cell.model, cell.view,
                cell.algorithm, cell.frame_ms.size(), cell.median_ms, interval,
                milliseconds(cell.stddev_ms),
                cell.mrays_per_s ? fmt::format("{:.2f}", *cell.mrays_per_s) : "-");
   }
   for (const analysis::RankingRow& row : result.ranking)
-    fmt::print("{}. {}: score {:.3f} ms (95 %: {:.3f} to {:.3f}), {:.3f} times the best\n", row.rank,
-               row.algorithm, row.score_ms, row.score_interval_ms.low, row.score_interval_ms.high,
-               row.normalized);
+    fmt::print("{}. {}: score {:.3f} ms (95 %: {:.3f} to {:.3f}), {:.3f} times the best\n",
+               row.rank, row.algorithm, row.score_ms, row.score_interval_ms.low,
+               row.score_interval_ms.high, row.normalized);
   for (const analysis::Flag& flag : result.flags) fmt::print("{}: {}\n", flag.label, flag.text);
 }
 
@@ -131,15 +130,17 @@ int export_command(const ExportOptions& options) {
 int list_models_command() {
   fmt::print("{:<8} {:>9}  {:<10} {}\n", "name", "triangles", "here", "what and from where");
   for (const accel::ModelInfo& model : accel::catalogue()) {
-    const char* here = model.file_name.empty() ? "generated"
+    const char* here = model.file_name.empty()      ? "generated"
                        : accel::is_available(model) ? "yes"
                                                     : "no";
-    fmt::print("{:<8} {:>9}  {:<10} {}\n", model.name, model.triangle_count, here, model.description);
+    fmt::print("{:<8} {:>9}  {:<10} {}\n", model.name, model.triangle_count, here,
+               model.description);
     fmt::print("{:<30} from {}\n{:<30} {}\n", "", model.source, "", model.license);
     if (!model.digest.empty()) fmt::print("{:<30} sha256 {}\n", "", model.digest);
   }
-  fmt::print("teapot:N is the teapot with N x N quads per patch; a path to .ply, .ply.gz or .obj "
-             "works in every place of a name.\n");
+  fmt::print(
+      "teapot:N is the teapot with N x N quads per patch; a path to .ply, .ply.gz or .obj "
+      "works in every place of a name.\n");
   return 0;
 }
 

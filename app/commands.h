@@ -8,7 +8,7 @@ namespace energyprof::app {
 
 struct RunOptions {
   std::string config;
-  std::string out;                ///< empty: runs/<name>-<time>
+  std::string out;  ///< empty: runs/<name>-<time>
   std::vector<std::string> settings;
   std::string device = "auto";
   std::string root = "/";

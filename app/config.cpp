@@ -85,8 +85,8 @@ json parse(const std::string& text, const std::string& file) {
 void apply_setting(json& config, const std::string& setting) {
   const size_t equals = setting.find('=');
   if (equals == std::string::npos || equals == 0)
-    throw UsageError(fmt::format(
-        "--set '{}': expected key.path=value, as in --set image.width=640", setting));
+    throw UsageError(
+        fmt::format("--set '{}': expected key.path=value, as in --set image.width=640", setting));
   const std::string value_text = setting.substr(equals + 1);
   json value = json::parse(value_text, nullptr, false);
   if (value.is_discarded()) value = value_text;
@@ -98,8 +98,8 @@ void apply_setting(json& config, const std::string& setting) {
       const bool is_index =
           !key.empty() && key.size() < 6 && std::all_of(key.begin(), key.end(), ::isdigit);
       if (!is_index || std::stoul(key) >= place->size())
-        throw UsageError(fmt::format("--set '{}': '{}' is not an index below {}", setting, key,
-                                     place->size()));
+        throw UsageError(
+            fmt::format("--set '{}': '{}' is not an index below {}", setting, key, place->size()));
       place = &(*place)[std::stoul(key)];
     } else if (place->is_object() || place->is_null()) {
       place = &(*place)[key];
@@ -131,10 +131,12 @@ const json& alternative_with(const json& node, const char* key) {
   return node;
 }
 
-/// The part of the schema that describes `pointer`; nullptr for a key that the schema does not know.
+/// The part of the schema that describes `pointer`; nullptr for a key that the schema does not
+/// know.
 const json* schema_at(const json::json_pointer& pointer) {
   std::vector<std::string> keys;
-  for (json::json_pointer rest = pointer; !rest.empty(); rest.pop_back()) keys.push_back(rest.back());
+  for (json::json_pointer rest = pointer; !rest.empty(); rest.pop_back())
+    keys.push_back(rest.back());
   const json* node = &schema();
   for (auto key = keys.rbegin(); key != keys.rend(); ++key) {
     const json& object = alternative_with(*node, "properties");
@@ -270,9 +272,10 @@ Config interpret(json document, const std::string& file) {
   if (pace != "back-to-back") {
     c.frames_per_second = std::stod(pace.substr(4));
     if (*c.frames_per_second <= 0.0)
-      throw UsageError(fmt::format("{}: /frames/pace: \"{}\" is not allowed; expected more than 0 "
-                                   "frames per second",
-                                   file, pace));
+      throw UsageError(
+          fmt::format("{}: /frames/pace: \"{}\" is not allowed; expected more than 0 "
+                      "frames per second",
+                      file, pace));
   }
   c.latin_square = document.at("order").at("design") == "latin-square";
   c.repetitions = document.at("order").at("repetitions");
@@ -284,14 +287,16 @@ Config interpret(json document, const std::string& file) {
   c.required = document.at("sampler").value("require", std::vector<std::string>{});
   for (size_t i = 0; i < c.models.size(); ++i)
     if (!is_model_name(c.models[i]))
-      throw UsageError(fmt::format("{}: /models/{}: '{}' is not a model; expected {}, teapot:N or a "
-                                   "path to .ply, .ply.gz or .obj",
-                                   file, i, c.models[i], model_names()));
+      throw UsageError(
+          fmt::format("{}: /models/{}: '{}' is not a model; expected {}, teapot:N or a "
+                      "path to .ply, .ply.gz or .obj",
+                      file, i, c.models[i], model_names()));
   for (size_t i = 0; i < c.algorithms.size(); ++i)
     if (find_algorithm(c.algorithms[i]) == nullptr)
-      throw UsageError(fmt::format("{}: /algorithms/{}: '{}' is not built yet in this version; "
-                                   "available: {}",
-                                   file, i, c.algorithms[i], algorithm_names()));
+      throw UsageError(
+          fmt::format("{}: /algorithms/{}: '{}' is not built yet in this version; "
+                      "available: {}",
+                      file, i, c.algorithms[i], algorithm_names()));
   c.json = std::move(document);
   return c;
 }
@@ -304,8 +309,8 @@ std::vector<std::filesystem::path> config_dirs() {
   const auto program = std::filesystem::read_symlink("/proc/self/exe", failed);
   if (failed) return dirs;
   const std::filesystem::path bin = program.parent_path();
-  dirs.push_back(bin.parent_path() / "share" / "energyprof" / "configs");       // installed
-  dirs.push_back(bin.parent_path().parent_path().parent_path() / "configs");    // build/<preset>/app
+  dirs.push_back(bin.parent_path() / "share" / "energyprof" / "configs");     // installed
+  dirs.push_back(bin.parent_path().parent_path().parent_path() / "configs");  // build/<preset>/app
   return dirs;
 }
 
@@ -320,7 +325,8 @@ std::string apply_quick(Config& config) {
   std::string changes;
   const auto cap = [&](auto& value, auto limit, const char* what) {
     if (value <= limit) return;
-    changes += fmt::format("{}{} {} instead of {}", changes.empty() ? "" : ", ", what, limit, value);
+    changes +=
+        fmt::format("{}{} {} instead of {}", changes.empty() ? "" : ", ", what, limit, value);
     value = limit;
   };
   if (config.width > 320 || config.height > 180) {
@@ -331,8 +337,8 @@ std::string apply_quick(Config& config) {
     };
     const uint32_t width = scaled(config.width);
     const uint32_t height = scaled(config.height);
-    changes += fmt::format("image {}x{} instead of {}x{}", width, height, config.width,
-                           config.height);
+    changes +=
+        fmt::format("image {}x{} instead of {}x{}", width, height, config.width, config.height);
     config.width = width;
     config.height = height;
   }

@@ -48,8 +48,8 @@ struct Config {
 };
 
 /// Reads `file` (a path, or the name of a shipped config), applies `--set key.path=value` in order
-/// and checks the result. Throws UsageError naming the file, the JSON pointer, the value and what is
-/// allowed; std::runtime_error when the file cannot be read.
+/// and checks the result. Throws UsageError naming the file, the JSON pointer, the value and what
+/// is allowed; std::runtime_error when the file cannot be read.
 Config load_config(const std::string& file, const std::vector<std::string>& settings);
 
 /// Caps `config` so that a study ends in about a minute without a GPU.

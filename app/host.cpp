@@ -48,8 +48,8 @@ nlohmann::json describe_host() {
   host["cores"] = std::thread::hardware_concurrency();
   host["kernel"] = std::string(system.sysname) + " " + system.release + " " + system.machine;
   host["os"] = or_null(value_of("/etc/os-release", "PRETTY_NAME", '='));
-  host["virtual_machine"] =
-      flags ? nlohmann::json(flags->find("hypervisor") != std::string::npos) : nlohmann::json(nullptr);
+  host["virtual_machine"] = flags ? nlohmann::json(flags->find("hypervisor") != std::string::npos)
+                                  : nlohmann::json(nullptr);
   host["governor"] = or_null(first_line("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"));
   host["platform_profile"] = or_null(first_line("/sys/firmware/acpi/platform_profile"));
   return host;

@@ -86,7 +86,8 @@ class CommandLine {
   }
 
   void add_probe() {
-    CLI::App* command = cli_.add_subcommand("probe", "What can be sensed here, what cannot, and why");
+    CLI::App* command =
+        cli_.add_subcommand("probe", "What can be sensed here, what cannot, and why");
     command->footer("Example: energyprof probe --json");
     command->add_option("--root", probe_.root, "Read sensors below DIR instead of /")
         ->type_name("DIR");
@@ -132,9 +133,10 @@ class CommandLine {
     command->add_option("RUN", run, "A run directory, or the run.sqlite inside it")->required();
   }
 
-  CLI::App cli_{"energyprof: where does the energy of a GPU workload go, and why did that frame "
-                "stutter?",
-                "energyprof"};
+  CLI::App cli_{
+      "energyprof: where does the energy of a GPU workload go, and why did that frame "
+      "stutter?",
+      "energyprof"};
   RunOptions run_;
   ProbeOptions probe_;
   std::string analyze_run_;

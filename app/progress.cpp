@@ -59,10 +59,11 @@ void Progress::draw() {
   if (config_.quiet || !is_terminal_) return;
   last_draw_ns_ = now_ns();
   const int64_t passed = done_frames_ + skipped_frames_;
-  const double share = static_cast<double>(passed) /
-                       static_cast<double>(std::max<int64_t>(config_.total_frames, 1));
+  const double share =
+      static_cast<double>(passed) / static_cast<double>(std::max<int64_t>(config_.total_frames, 1));
   const auto filled = static_cast<size_t>(std::clamp(share, 0.0, 1.0) * 20.0);
-  std::string line = fmt::format("[{:=<{}}{: <{}}] {:3.0f} %", "", filled, "", 20 - filled, share * 100.0);
+  std::string line =
+      fmt::format("[{:=<{}}{: <{}}] {:3.0f} %", "", filled, "", 20 - filled, share * 100.0);
   if (done_frames_ > 0) {
     const double elapsed_s = static_cast<double>(last_draw_ns_ - begin_ns_) * 1e-9;
     const auto left = static_cast<double>(std::max<int64_t>(config_.total_frames - passed, 0));

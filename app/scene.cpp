@@ -37,15 +37,16 @@ Scene load_scene(const std::string& name, const std::function<void(std::string_v
 }
 
 ViewConfig resolve_view(const Scene& scene, const ViewChoice& choice) {
-  if (const int* index = std::get_if<int>(&choice)) return scene.views.at(static_cast<size_t>(*index));
+  if (const int* index = std::get_if<int>(&choice))
+    return scene.views.at(static_cast<size_t>(*index));
   return std::get<ViewConfig>(choice);
 }
 
 gpu::FrameConstants frame_constants(const Scene& scene, const ViewConfig& view, uint32_t width,
                                     uint32_t height, uint32_t bounces, uint32_t seed) {
-  const glm::dvec3 offset = view.distance * glm::dvec3(std::sin(view.phi) * std::sin(view.theta),
-                                                       std::cos(view.phi),
-                                                       std::sin(view.phi) * std::cos(view.theta));
+  const glm::dvec3 offset =
+      view.distance * glm::dvec3(std::sin(view.phi) * std::sin(view.theta), std::cos(view.phi),
+                                 std::sin(view.phi) * std::cos(view.theta));
   const glm::dvec3 origin = (view.target + offset) * scene.scale;
   const glm::dvec3 forward = -glm::normalize(offset);
   // Straight up or down there is no horizontal direction left: any will do.

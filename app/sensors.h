@@ -18,8 +18,8 @@ namespace energyprof::app {
 
 class Sensors {
  public:
-  /// Discovers the config's sources below `root`. Throws std::runtime_error when a quantity that the
-  /// config requires cannot be sensed, UsageError for a source that does not exist.
+  /// Discovers the config's sources below `root`. Throws std::runtime_error when a quantity that
+  /// the config requires cannot be sensed, UsageError for a source that does not exist.
   Sensors(const std::string& root, const Config& config);
 
   [[nodiscard]] const std::vector<Channel>& channels() const { return channels_; }

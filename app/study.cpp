@@ -33,7 +33,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double cooldown_band_c = 5.0;  // a trial begins within this of the run's first temperature
+constexpr double cooldown_band_c =
+    5.0;  // a trial begins within this of the run's first temperature
 constexpr int reference_frame_limit = 64;
 constexpr int64_t reference_time_limit_ns = 3 * ns_per_s;
 
@@ -196,10 +197,9 @@ class Study {
   // ---------------------------------------------------------------- trials
 
   void run_trials() {
-    const std::vector<PlannedTrial> plan =
-        plan_trials({scenes_.size(), config_.views.size(), config_.algorithms.size(),
-                     config_.repetitions},
-                    config_.latin_square, config_.seed);
+    const std::vector<PlannedTrial> plan = plan_trials(
+        {scenes_.size(), config_.views.size(), config_.algorithms.size(), config_.repetitions},
+        config_.latin_square, config_.seed);
     frames_per_trial_ = config_.warmup_frames + config_.timed_frames + 1;
     Progress::Config progress_config;
     progress_config.quiet = options_.quiet;
@@ -273,18 +273,19 @@ class Study {
   std::string trace(const PlannedTrial& planned, const Trial& trial, const AccelBlob& blob) {
     const Scene& scene = scenes_[planned.model];
     const ViewConfig view = resolve_view(scene, config_.views[planned.view]);
-    kernels::TraceSetup setup{blob, std::string(find_algorithm(trial.algorithm)->kernel),
-                              frame_constants(scene, view, config_.width, config_.height,
-                                              config_.bounces, config_.seed),
-                              {}};
+    kernels::TraceSetup setup{
+        blob,
+        std::string(find_algorithm(trial.algorithm)->kernel),
+        frame_constants(scene, view, config_.width, config_.height, config_.bounces, config_.seed),
+        {}};
     kernels::TraceProgram program(*device_, setup);
 
     std::vector<double> timed_ms;
     int64_t next_frame_ns = now_ns();
     for (int64_t frame = 0; frame < frames_per_trial_; ++frame) {
-      const Phase phase = frame < config_.warmup_frames        ? Phase::warmup
-                          : frame < frames_per_trial_ - 1      ? Phase::timed
-                                                               : Phase::counted;
+      const Phase phase = frame < config_.warmup_frames   ? Phase::warmup
+                          : frame < frames_per_trial_ - 1 ? Phase::timed
+                                                          : Phase::counted;
       if (InterruptGuard::requested()) return "interrupted";
       next_frame_ns = pace(next_frame_ns);
       FrameRecord record = program.run_frame(static_cast<uint32_t>(frame), phase);
@@ -428,7 +429,8 @@ void create_run_dir(const fs::path& dir) {
     throw std::runtime_error(
         fmt::format("cannot create run directory '{}': {}. Give another with --out.", dir.string(),
                     failed.message()));
-  for (const char* name : {"run.sqlite", "timeline.json", "report.json", "report.md", "report.html"})
+  for (const char* name :
+       {"run.sqlite", "timeline.json", "report.json", "report.md", "report.html"})
     if (fs::exists(dir / name))
       throw std::runtime_error(
           fmt::format("cannot record to '{}': it already holds '{}', and a run is never "

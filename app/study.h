@@ -10,13 +10,13 @@
 namespace energyprof::app {
 
 struct StudyOptions {
-  std::filesystem::path out;      ///< the run directory; must not hold a run yet
-  std::string device = "auto";    ///< "auto" or part of a device's name
-  std::string root = "/";         ///< where sysfs and procfs are read; not "/": simulated
-  std::string quick_note;         ///< what --quick changed; empty: a full run
+  std::filesystem::path out;    ///< the run directory; must not hold a run yet
+  std::string device = "auto";  ///< "auto" or part of a device's name
+  std::string root = "/";       ///< where sysfs and procfs are read; not "/": simulated
+  std::string quick_note;       ///< what --quick changed; empty: a full run
   bool quick = false;
   bool quiet = false;
-  bool validation = false;        ///< Vulkan validation; any message fails the study
+  bool validation = false;  ///< Vulkan validation; any message fails the study
 };
 
 struct StudyResult {
@@ -27,8 +27,8 @@ struct StudyResult {
 };
 
 /// Records `config` into options.out/run.sqlite and writes options.out/images/. Throws
-/// std::runtime_error when the study cannot begin, or cannot be recorded any more; what was recorded
-/// until then is kept.
+/// std::runtime_error when the study cannot begin, or cannot be recorded any more; what was
+/// recorded until then is kept.
 StudyResult record_study(const Config& config, const StudyOptions& options);
 
 /// Creates `dir` for a run. Throws std::runtime_error if it cannot be written or already holds one.

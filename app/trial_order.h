@@ -26,8 +26,9 @@ struct StudySize {
 ///
 /// Latin square: the (model, view) blocks of a repetition are shuffled, and from block to block the
 /// algorithms' order, itself shuffled once, is rotated by one, so that over as many blocks as there
-/// are algorithms each stands in each place once: drift in temperature or clocks falls on all alike.
-/// Otherwise: nested loops in the order of the config. The same seed gives the same order anywhere.
+/// are algorithms each stands in each place once: drift in temperature or clocks falls on all
+/// alike. Otherwise: nested loops in the order of the config. The same seed gives the same order
+/// anywhere.
 std::vector<PlannedTrial> plan_trials(const StudySize& size, bool latin_square, uint32_t seed);
 
 }  // namespace energyprof::app

@@ -1,5 +1,5 @@
-// How long the dragon takes from its .ply.gz in the page cache to a welded mesh, and which part of it
-// each step takes. One thread:
+// How long the dragon takes from its .ply.gz in the page cache to a welded mesh, and which part of
+// it each step takes. One thread:
 //
 //   energyprof models fetch dragon
 //   taskset -c 0 mesh_load_bench --benchmark_repetitions=9

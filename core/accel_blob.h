@@ -30,11 +30,11 @@ struct AccelBlob {
 
 /// What a build cost and what came out.
 struct BuildStats {
-  int64_t build_ns = 0;     ///< wall time of the build, triangles' precomputation included
+  int64_t build_ns = 0;  ///< wall time of the build, triangles' precomputation included
   int64_t blob_bytes = 0;
   int64_t node_count = 0;
   int64_t leaf_count = 0;
-  int64_t ref_count = 0;    ///< primitive references in leaves; more than triangles where they repeat
+  int64_t ref_count = 0;  ///< primitive references in leaves; more than triangles where they repeat
   int64_t max_depth = 0;
   /// Formula and constants: the builder's Config. Absent when the scene's bounds have no area.
   std::optional<double> sah_cost;

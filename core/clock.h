@@ -1,7 +1,7 @@
 /// The only host clock in the project: CLOCK_MONOTONIC in nanoseconds.
 ///
-/// Not CLOCK_MONOTONIC_RAW: clock_nanosleep() refuses it, and Mesa's CPU driver calibrates GPU ticks
-/// against CLOCK_MONOTONIC only.
+/// Not CLOCK_MONOTONIC_RAW: clock_nanosleep() refuses it, and Mesa's CPU driver calibrates GPU
+/// ticks against CLOCK_MONOTONIC only.
 #pragma once
 
 #include <time.h>

@@ -37,23 +37,23 @@ struct Triangle {
 
 // One frame's constants, a uniform/storage block of vec4 and uint only.
 //   A primary ray through pixel (x, y), jitter (jx, jy) in [0, 1):
-//   direction = forward + (2 (x + jx) / width - 1) right + (1 - 2 (y + jy) / height) up, normalized,
-//   where right and up already carry tan(fov / 2) and the aspect ratio.
+//   direction = forward + (2 (x + jx) / width - 1) right + (1 - 2 (y + jy) / height) up,
+//   normalized, where right and up already carry tan(fov / 2) and the aspect ratio.
 struct FrameConstants {
-  vec4 origin_tmin;    // camera position, t_min of every ray
-  vec4 right_tmax;     // t_max of every ray in .w
+  vec4 origin_tmin;  // camera position, t_min of every ray
+  vec4 right_tmax;   // t_max of every ray in .w
   vec4 up;
   vec4 forward;
-  vec4 bounds_min;     // of the scene
+  vec4 bounds_min;  // of the scene
   vec4 bounds_max;
   uint width;
   uint height;
-  uint frame;          // jitter and bounce directions differ from frame to frame
+  uint frame;  // jitter and bounce directions differ from frame to frame
   uint seed;
-  uint bounce_count;   // 0 or 1 bounces after a hit
-  uint first_row;      // this dispatch traces rows [first_row, first_row + row_count)
+  uint bounce_count;  // 0 or 1 bounces after a hit
+  uint first_row;     // this dispatch traces rows [first_row, first_row + row_count)
   uint row_count;
-  uint node_count;     // 0: there is nothing to hit
+  uint node_count;  // 0: there is nothing to hit
 };
 
 // What one pixel saw in one frame: primitive id + 1 of the primary and the bounce ray; 0 is a miss.
@@ -70,7 +70,7 @@ struct PixelCounts {
   uint node_visits;
   uint box_tests;
   uint prim_tests;
-  uint loop_steps;     // iterations of the traversal loop: lavapipe ends loops at 65,535
+  uint loop_steps;  // iterations of the traversal loop: lavapipe ends loops at 65,535
 };
 
 #ifdef __cplusplus

@@ -15,17 +15,17 @@ namespace energyprof {
 
 /// One stream of sensor values.
 struct Channel {
-  int32_t id = 0;             ///< 1-based, unique in a run; given by whoever gathers the channels
-  std::string name;           ///< stable, dotted, source first: "rapl.package-0.energy"
-  std::string source;         ///< the source that reads it: "powercap"
+  int32_t id = 0;      ///< 1-based, unique in a run; given by whoever gathers the channels
+  std::string name;    ///< stable, dotted, source first: "rapl.package-0.energy"
+  std::string source;  ///< the source that reads it: "powercap"
   Quantity quantity = Quantity::interference;
-  Unit unit = Unit::none;     ///< the sensor's own unit
+  Unit unit = Unit::none;  ///< the sensor's own unit
   Kind kind = Kind::gauge;
   std::optional<int64_t> wrap_at;       ///< a counter returns to 0 after this value
   int64_t period_ns = 0;                ///< how often it is polled
   std::optional<int64_t> read_cost_ns;  ///< median cost of one read, measured at start-up
   std::string origin;                   ///< file, event or function the value comes from
-  std::string unit_text;  ///< set by read_run(): the unit as stored, also when `unit` cannot name it
+  std::string unit_text;  ///< by read_run(): the unit as stored, even where `unit` has no name
 };
 
 /// One reading, exactly as the sensor gave it, in Channel::unit.
@@ -39,17 +39,17 @@ enum class Phase : uint8_t { warmup, timed, counted };
 
 /// One frame: all rays of one image, traced once.
 struct FrameRecord {
-  int64_t id = 0;        ///< unique in a run
+  int64_t id = 0;  ///< unique in a run
   int64_t trial_id = 0;
-  int64_t frame = 0;     ///< index in its trial, warm-up included
+  int64_t frame = 0;  ///< index in its trial, warm-up included
   Phase phase = Phase::timed;
-  int64_t submit_ns = 0;               ///< host time of the (first) submission
-  int64_t begin_ns = 0;                ///< GPU begin, mapped to host time
-  int64_t end_ns = 0;                  ///< begin_ns + the GPU's own duration
+  int64_t submit_ns = 0;                  ///< host time of the (first) submission
+  int64_t begin_ns = 0;                   ///< GPU begin, mapped to host time
+  int64_t end_ns = 0;                     ///< begin_ns + the GPU's own duration
   std::optional<int64_t> clock_error_ns;  ///< begin_ns is right within +- this
   std::optional<int64_t> ray_count;
   std::optional<int64_t> hit_count;
-  std::string hit_checksum;            ///< docs/method.md; empty = unknown
+  std::string hit_checksum;                 ///< docs/method.md; empty = unknown
   std::optional<int64_t> node_visit_count;  ///< counted frames only
   std::optional<int64_t> box_test_count;    ///< counted frames only
   std::optional<int64_t> prim_test_count;   ///< counted frames only
@@ -63,10 +63,10 @@ struct Trial {
   int64_t view = 0;
   std::string algorithm;
   int64_t repetition = 0;
-  int64_t position = 0;      ///< place in the run's order
+  int64_t position = 0;  ///< place in the run's order
   int64_t begin_ns = 0;
   std::optional<int64_t> end_ns;  ///< absent: the run ended inside this trial
-  std::string skip_reason;   ///< empty: usable
+  std::string skip_reason;        ///< empty: usable
   std::optional<int64_t> build_ns;
   std::optional<int64_t> blob_bytes;
   std::optional<int64_t> triangle_count;
@@ -85,7 +85,7 @@ struct Event {
   int64_t t_ns = 0;
   std::optional<int64_t> end_ns;
   Severity severity = Severity::info;
-  std::string kind;                   ///< machine-readable: "sensor-gone", "missed-ticks", ...
+  std::string kind;  ///< machine-readable: "sensor-gone", "missed-ticks", ...
   std::optional<int32_t> channel_id;
   std::string text;
 };

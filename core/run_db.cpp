@@ -167,13 +167,13 @@ struct RunWriter::Impl {
 
   static Database open_new(const std::filesystem::path& file) {
     if (std::filesystem::exists(file))
-      throw std::runtime_error(fmt::format(
-          "cannot record to '{}': it exists already and a run is never overwritten.", file.string()));
+      throw std::runtime_error(
+          fmt::format("cannot record to '{}': it exists already and a run is never overwritten.",
+                      file.string()));
     try {
       return {file, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE | SQLITE_OPEN_NOMUTEX};
     } catch (const std::runtime_error& error) {
-      throw std::runtime_error(
-          fmt::format("cannot create '{}': {}.", file.string(), error.what()));
+      throw std::runtime_error(fmt::format("cannot create '{}': {}.", file.string(), error.what()));
     }
   }
 
@@ -184,12 +184,11 @@ struct RunWriter::Impl {
       database.execute("PRAGMA synchronous=NORMAL");
       if (writer_config.max_page_count > 0)
         database.execute(fmt::format("PRAGMA max_page_count={}", writer_config.max_page_count));
-      database.execute(fmt::format("BEGIN; {} PRAGMA user_version={}; COMMIT", create_tables,
-                                   schema_version));
+      database.execute(
+          fmt::format("BEGIN; {} PRAGMA user_version={}; COMMIT", create_tables, schema_version));
       return Inserter(database);
     } catch (const std::runtime_error& error) {
-      throw std::runtime_error(
-          fmt::format("cannot create '{}': {}.", file.string(), error.what()));
+      throw std::runtime_error(fmt::format("cannot create '{}': {}.", file.string(), error.what()));
     }
   }
 
@@ -378,8 +377,8 @@ void read_meta(Database& db, RunRecord& run) {
         fmt::format("meta schema_version is '{}'; expected a number", version->second));
   }
   if (found > schema_version)
-    throw std::runtime_error(
-        fmt::format("its schema_version is {}, this program reads up to {}", found, schema_version));
+    throw std::runtime_error(fmt::format("its schema_version is {}, this program reads up to {}",
+                                         found, schema_version));
 }
 
 void read_channels(Database& db, RunRecord& run) {
@@ -512,8 +511,7 @@ RunRecord read_run(const std::filesystem::path& run) {
     read_events(db, record);
     return record;
   } catch (const std::runtime_error& error) {
-    throw std::runtime_error(
-        fmt::format("cannot read run '{}': {}.", file.string(), error.what()));
+    throw std::runtime_error(fmt::format("cannot read run '{}': {}.", file.string(), error.what()));
   }
 }
 

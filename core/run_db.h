@@ -65,8 +65,8 @@ class RunWriter {
 /// The database of `run`: a run directory, or the database file itself.
 std::filesystem::path run_file(const std::filesystem::path& run);
 
-/// Reads a run back. Any database with the tables and columns of docs/run-format.md will do; columns
-/// it does not have are taken as unknown. Throws std::runtime_error naming file and reason.
+/// Reads a run back. Any database with the tables and columns of docs/run-format.md will do;
+/// columns it does not have are taken as unknown. Throws std::runtime_error naming file and reason.
 RunRecord read_run(const std::filesystem::path& run);
 
 }  // namespace energyprof

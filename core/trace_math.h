@@ -1,6 +1,7 @@
 // The arithmetic of a ray, shared by the kernels (GLSL) and the CPU oracle (C++): random numbers,
-// camera and bounce rays, box and triangle tests. One text, so that the two cannot drift apart; what
-// must round alike on both sides is `precise` (no fused multiply-add) and uses only + - * / sqrt.
+// camera and bounce rays, box and triangle tests. One text, so that the two cannot drift apart;
+// what must round alike on both sides is `precise` (no fused multiply-add) and uses only + - * /
+// sqrt.
 #ifndef ENERGYPROF_TRACE_MATH_H
 #define ENERGYPROF_TRACE_MATH_H
 
@@ -40,8 +41,8 @@ struct Ray {
 };
 
 struct Hit {
-  float t;      // of the closest hit so far; t_max before any
-  uint prim_id; // primitive id + 1; 0 is a miss
+  float t;       // of the closest hit so far; t_max before any
+  uint prim_id;  // primitive id + 1; 0 is a miss
 };
 
 // PCG hash. "Hash Functions for GPU Rendering", M. Jarzynski and M. Olano, JCGT 9(3), 2020.
@@ -130,7 +131,8 @@ EP_FN Ray bounce_ray(FrameConstants c, Ray incoming, float t, vec3 normal, uint 
   return ray;
 }
 
-// 1 / direction with zeros replaced by +-1e-20: no infinity, so no 0 * inf when a ray lies in a slab.
+// 1 / direction with zeros replaced by +-1e-20: no infinity, so no 0 * inf when a ray lies in a
+// slab.
 EP_FN float safe_inverse(float d) {
   if (abs(d) >= 1e-20f) return 1.0f / d;
   return (floatBitsToUint(d) >> 31u) != 0u ? -1e20f : 1e20f;
@@ -143,9 +145,10 @@ EP_FN vec3 inverse_direction(vec3 d) {
 // Distance at which the ray enters the box, or a negative number if it does not within
 // [t_min, t_max]. The far side is widened by 1e-6 so that no ray slips between two touching boxes
 // (2 ulp would do: "Robust BVH Ray Traversal", T. Ize, JCGT 2(2), 2013) and so that a triangle at
-// the same t as the best hit, but another rounding, is still looked at: ties then end alike in every
-// order of traversal.
-EP_FN float enter_box(vec3 box_min, vec3 box_max, vec3 origin, vec3 inv_d, float t_min, float t_max) {
+// the same t as the best hit, but another rounding, is still looked at: ties then end alike in
+// every order of traversal.
+EP_FN float enter_box(vec3 box_min, vec3 box_max, vec3 origin, vec3 inv_d, float t_min,
+                      float t_max) {
   float x0 = (box_min.x - origin.x) * inv_d.x;
   float x1 = (box_max.x - origin.x) * inv_d.x;
   float y0 = (box_min.y - origin.y) * inv_d.y;
@@ -158,10 +161,10 @@ EP_FN float enter_box(vec3 box_min, vec3 box_max, vec3 origin, vec3 inv_d, float
   return enter <= leave ? enter : -1.0f;
 }
 
-// The closer of `best` and the triangle's hit. Two hits at the same t: the lower id wins, so that the
-// answer does not depend on the order of traversal. No epsilon: a test against a fixed determinant
-// would depend on the scene's scale and lose small triangles.
-// "Fast, Minimum Storage Ray/Triangle Intersection", T. Moeller and B. Trumbore, JGT 2(1), 1997.
+// The closer of `best` and the triangle's hit. Two hits at the same t: the lower id wins, so that
+// the answer does not depend on the order of traversal. No epsilon: a test against a fixed
+// determinant would depend on the scene's scale and lose small triangles. "Fast, Minimum Storage
+// Ray/Triangle Intersection", T. Moeller and B. Trumbore, JGT 2(1), 1997.
 EP_FN Hit closer_hit(Hit best, Ray ray, vec3 v0, vec3 e1, vec3 e2, uint prim) {
   vec3 p = cross3(ray.direction, e2);
   precise float det = dot3(e1, p);
@@ -183,8 +186,8 @@ EP_FN Hit closer_hit(Hit best, Ray ray, vec3 v0, vec3 e1, vec3 e2, uint prim) {
   return hit;
 }
 
-// One pixel's part of a frame's hit_checksum (docs/method.md): two hashes of who was hit; the frame's
-// checksum is their sums modulo 2^32 over all pixels, so that the order does not matter.
+// One pixel's part of a frame's hit_checksum (docs/method.md): two hashes of who was hit; the
+// frame's checksum is their sums modulo 2^32 over all pixels, so that the order does not matter.
 EP_FN uvec2 checksum_terms(uint pixel, PixelHits hits) {
   uint primary = hash_u32(hits.primary_id + hash_u32(2u * pixel));
   uint bounce = hash_u32(hits.bounce_id + hash_u32(2u * pixel + 1u));

@@ -68,8 +68,6 @@ std::optional<Quantity> parse_quantity(std::string_view name) {
 
 std::string_view to_string(Kind kind) { return kind_names[static_cast<std::size_t>(kind)]; }
 
-std::optional<Kind> parse_kind(std::string_view name) {
-  return parse_enum<Kind>(kind_names, name);
-}
+std::optional<Kind> parse_kind(std::string_view name) { return parse_enum<Kind>(kind_names, name); }
 
 }  // namespace energyprof

@@ -56,9 +56,9 @@ enum class Unit : uint8_t {
 
 struct UnitInfo {
   Unit unit;
-  std::string_view name;    ///< as stored in channels.unit
-  std::string_view si;      ///< the SI unit it converts to
-  double to_si;             ///< factor to `si`
+  std::string_view name;  ///< as stored in channels.unit
+  std::string_view si;    ///< the SI unit it converts to
+  double to_si;           ///< factor to `si`
 };
 
 /// Symbol and factor of `unit`.

@@ -1,10 +1,8 @@
 // Maps GPU ticks to host time.
 #include "kernels/clock_sync.h"
 
-#include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdlib>
 
 #include "kernels/context.h"
 
@@ -18,12 +16,9 @@ uint64_t mask_of(const TickScale& scale) {
   return scale.valid_bits >= 64 ? ~uint64_t{0} : (uint64_t{1} << scale.valid_bits) - 1;
 }
 
-int64_t to_ns(double ticks, const TickScale& scale) {
-  return std::llround(ticks * scale.period_ns);
-}
-
-int64_t duration_ns(const TickSpan& span, const TickScale& scale) {
-  return to_ns(static_cast<double>(ticks_between(span.begin, span.end, scale)), scale);
+/// Not yet an integer: the difference of two ticks of a clock that was reset can be any number.
+double duration_of(const TickSpan& span, const TickScale& scale) {
+  return static_cast<double>(ticks_between(span.begin, span.end, scale)) * scale.period_ns;
 }
 
 int64_t tick_ns(const TickScale& scale) { return static_cast<int64_t>(std::ceil(scale.period_ns)); }
@@ -58,24 +53,26 @@ int64_t signed_ticks(uint64_t origin, uint64_t ticks, const TickScale& scale) {
 
 HostSpan place_by_calibration(const Calibration& calibration, const TickSpan& span,
                               const TickScale& scale) {
-  const int64_t since_ns =
-      to_ns(static_cast<double>(signed_ticks(calibration.gpu_ticks, span.begin, scale)), scale);
-  const auto drift_ns =
-      static_cast<int64_t>(std::ceil(static_cast<double>(std::abs(since_ns)) * drift_ratio));
+  const double since_ns =
+      static_cast<double>(signed_ticks(calibration.gpu_ticks, span.begin, scale)) * scale.period_ns;
   HostSpan host;
-  host.begin_ns = calibration.host_ns + since_ns;
-  host.end_ns = host.begin_ns + duration_ns(span, scale);
-  host.error_ns = calibration.deviation_ns + tick_ns(scale) + drift_ns;
+  host.begin_ns = calibration.host_ns + std::llround(since_ns);
+  host.end_ns = host.begin_ns + std::llround(duration_of(span, scale));
+  host.error_ns = calibration.deviation_ns + tick_ns(scale) +
+                  std::llround(std::ceil(std::abs(since_ns) * drift_ratio));
   return host;
 }
 
 HostSpan place_by_enclosure(int64_t submit_ns, int64_t done_ns, const TickSpan& span,
                             const TickScale& scale) {
-  const int64_t slack_ns = (done_ns - submit_ns) - duration_ns(span, scale);
-  if (slack_ns < 0) return {submit_ns, done_ns, done_ns - submit_ns};
+  const int64_t whole_ns = done_ns - submit_ns;
+  if (duration_of(span, scale) > static_cast<double>(whole_ns))
+    return {submit_ns, done_ns, whole_ns};
+  const int64_t duration_ns = std::llround(duration_of(span, scale));
+  const int64_t slack_ns = whole_ns - duration_ns;
   HostSpan host;
   host.begin_ns = submit_ns + slack_ns / 2;
-  host.end_ns = host.begin_ns + duration_ns(span, scale);
+  host.end_ns = host.begin_ns + duration_ns;
   host.error_ns = slack_ns - slack_ns / 2 + tick_ns(scale);
   return host;
 }

@@ -25,12 +25,13 @@ namespace {
 struct Row {
   std::string_view name;
   void (*discover)(const Root&, Discovery&);
+  bool host_only = false;  // asks the running kernel or a driver, not files below a root
 };
 constexpr std::array rows{
     Row{"powercap", discover_powercap},   Row{"hwmon", discover_hwmon},
     Row{"thermal", discover_thermal},     Row{"cpufreq", discover_cpufreq},
     Row{"proc_stat", discover_proc_stat}, Row{"psi", discover_psi},
-    Row{"cgroup", discover_cgroup},       Row{"perf", discover_perf_events},
+    Row{"cgroup", discover_cgroup},       Row{"perf", discover_perf_events, true},
 };
 
 void check_names(const Selection& selection) {
@@ -88,7 +89,12 @@ constexpr std::array questions{
              }},
     Question{"CPU clock", [](const Channel& c) { return c.source == "cpufreq"; }},
     Question{"temperature", [](const Channel& c) { return c.quantity == Quantity::temperature; }},
-    Question{"throttle reasons", [](const Channel& c) { return c.quantity == Quantity::throttle; }},
+    Question{
+        "GPU throttling",
+        [](const Channel& c) { return c.quantity == Quantity::throttle && c.source != "thermal"; }},
+    Question{
+        "throttling by the kernel",
+        [](const Channel& c) { return c.quantity == Quantity::throttle && c.source == "thermal"; }},
     Question{"power limits", [](const Channel& c) { return c.quantity == Quantity::limit; }},
     Question{"cache misses", [](const Channel& c) { return c.quantity == Quantity::cache_miss; }},
     Question{"memory traffic",
@@ -108,8 +114,14 @@ std::vector<std::string> source_names() {
 Discovery discover(const Root& root, const Selection& selection) {
   check_names(selection);
   Discovery discovery;
-  for (const Row& row : rows)
-    if (is_selected(selection, row.name)) row.discover(root, discovery);
+  for (const Row& row : rows) {
+    if (!is_selected(selection, row.name)) continue;
+    if (row.host_only && !root.is_host())
+      discovery.missing.push_back(
+          {std::string(row.name), "not under --root: not read from files", ""});
+    else
+      row.discover(root, discovery);
+  }
   number_channels(discovery);
   return discovery;
 }
@@ -160,8 +172,8 @@ std::string verdict(const Discovery& discovery) {
     line += ". A study ranks by time only; joules per ray will be refused";
   else if (lacks("energy"))
     line += ". Joules come from sampled power: long windows only";
-  if (lacks("throttle reasons") && lacks("GPU clock"))
-    line += ". Slow frames can be blamed on the host or stay unexplained, not on GPU throttling";
+  if (lacks("GPU throttling") && lacks("GPU clock"))
+    line += ". Slow frames cannot be blamed on GPU throttling: they are the host's or unexplained";
   return line + '.';
 }
 

@@ -29,6 +29,9 @@ constexpr std::array events{
     SoftwareEvent{"perf::PERF_COUNT_SW_PAGE_FAULTS_MAJ", "perf.major_faults", false},
 };
 
+// Reading interrupts every CPU that runs a counted thread, once per event: not at every tick.
+constexpr int64_t perf_period_ns = 10 * ns_per_ms;
+
 class Counter {
  public:
   explicit Counter(int fd) : fd_(fd) {}
@@ -55,7 +58,7 @@ class Counter {
 class PerfSource final : public SensorSource {
  public:
   PerfSource(std::vector<Channel> channels, std::vector<Counter> counters)
-      : SensorSource("perf", ns_per_ms, std::move(channels)), counters_(std::move(counters)) {}
+      : SensorSource("perf", perf_period_ns, std::move(channels)), counters_(std::move(counters)) {}
 
   void poll(std::span<Reading> out) noexcept override {
     for (size_t i = 0; i < counters_.size(); ++i) out[i] = counters_[i].read();
@@ -99,12 +102,6 @@ Missing explain(const Root& root, const Refusal& refusal) {
 }  // namespace
 
 void discover_perf_events(const Root& root, Discovery& discovery) {
-  if (!root.is_host()) {
-    discovery.missing.push_back(
-        {"perf", "not under --root: events are counted by the running kernel, not read from files",
-         ""});
-    return;
-  }
   if (const int result = pfm_initialize(); result != PFM_SUCCESS) {
     discovery.missing.push_back(
         {"perf", fmt::format("libpfm4 does not start: {}", pfm_strerror(result)), ""});

@@ -94,7 +94,7 @@
   }
 
   function named(algorithm) {
-    const text = make("span", {});
+    const text = make("span", { className: "named" });
     text.append(key(algorithm), algorithm);
     return text;
   }
@@ -143,7 +143,7 @@
 
   function fillRanking() {
     if (report.ranking.length === 0) {
-      body("ranking").append(note("Nothing to rank; the warnings say why."));
+      body("ranking").append(note(report.cells.length > 0 ? "Nothing to rank; the warnings say why." : "No timed frame was recorded."));
       return;
     }
     const longest = Math.max(...report.ranking.map((row) => Math.max(row.normalized, row.normalized_high)));
@@ -327,7 +327,8 @@
 
   const frameHeight = 260;
   const trackHeight = 96;
-  const gap = 58;
+  const gap = 54;
+  const labelHeight = 20;
   const top = 66;
   const cut = (text) => text.replace(/\n/g, " ");
   let chart = null;
@@ -350,8 +351,8 @@
 
   // A rate stands at the end of its window, any other value holds until the next.
   function valueAt(track, channel, t) {
-    const index = lastBefore(channel.t_s, t) + (track.is_rate && !channel.t_s.includes(t) ? 1 : 0);
-    return channel.value[index];
+    const index = lastBefore(channel.t_s, t);
+    return channel.value[track.is_rate && channel.t_s[index] !== t ? index + 1 : index];
   }
 
   function nearestFrame(t, reach) {
@@ -432,9 +433,10 @@
   function rows() {
     const heights = [...(hasFrames ? [frameHeight] : []), ...data.tracks.map(() => trackHeight)];
     let y = top;
-    return heights.map((height) => {
-      const row = { y, height };
-      y += height + gap;
+    return heights.map((height, index) => {
+      const labelled = index === 0 || index === heights.length - 1;
+      const row = { y, height, labelled };
+      y += height + gap + (labelled ? labelHeight : 0);
       return row;
     });
   }
@@ -481,7 +483,7 @@
       grid: all.map((row) => ({ left, right: 16, top: row.y, height: row.height })),
       xAxis: all.map((row, index) => ({
         type: "value", gridIndex: index, min: 0, max: duration,
-        axisLabel: { color: soft, fontSize: 11, hideOverlap: true, showMaxLabel: false,
+        axisLabel: { show: row.labelled, color: soft, fontSize: 11, hideOverlap: true, showMaxLabel: false,
           formatter: (value) => `${+value.toPrecision(6)} s` },
         axisLine: { onZero: false, lineStyle: { color: css("--line") } },
         axisTick: { lineStyle: { color: css("--line") } },

@@ -1,12 +1,12 @@
 /// Small mesh files as text and bytes, and gzip by another hand (zlib) than the reader's.
 #pragma once
 
+#include <zlib.h>
 #include <bit>
 #include <cstdint>
 #include <cstring>
 #include <string>
 #include <vector>
-#include <zlib.h>
 
 #include <algorithm>
 #include <stdexcept>
@@ -85,7 +85,8 @@ inline std::string binary_ply(bool big_endian) {
   body.put(uint8_t{2}).put(uint16_t{3});
   for (const uint32_t i : {1, 4, 2}) body.put(i);
   body.put(uint32_t{0});  // one empty strip
-  return std::string("ply\r\nformat ") + (big_endian ? "binary_big_endian" : "binary_little_endian") +
+  return std::string("ply\r\nformat ") +
+         (big_endian ? "binary_big_endian" : "binary_little_endian") +
          " 1.0\r\n"
          "obj_info with carriage returns\r\n"
          "element camera 1\r\n"

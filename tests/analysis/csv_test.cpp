@@ -18,11 +18,16 @@ std::vector<std::vector<std::string>> parse(const std::string& text) {
   bool quoted = false;
   for (std::size_t i = 0; i < text.size(); ++i) {
     std::string& field = records.back().back();
-    if (quoted && text[i] == '"' && i + 1 < text.size() && text[i + 1] == '"') field += text[++i];
-    else if (text[i] == '"') quoted = !quoted;
-    else if (!quoted && text[i] == ',') records.back().emplace_back();
-    else if (!quoted && text.compare(i, 2, "\r\n") == 0) records.push_back({""}), ++i;
-    else field += text[i];
+    if (quoted && text[i] == '"' && i + 1 < text.size() && text[i + 1] == '"')
+      field += text[++i];
+    else if (text[i] == '"')
+      quoted = !quoted;
+    else if (!quoted && text[i] == ',')
+      records.back().emplace_back();
+    else if (!quoted && text.compare(i, 2, "\r\n") == 0)
+      records.push_back({""}), ++i;
+    else
+      field += text[i];
   }
   records.pop_back();
   return records;
@@ -54,14 +59,15 @@ TEST(Csv, FramesHaveOneRecordEach) {
 TEST(Csv, SamplesKeepTheirValueAndUnit) {
   RunBuilder builder;
   builder.add_channel("rapl.package-0.energy", Quantity::energy, Unit::microjoule, Kind::cumulative,
-                      1'000'000, 2, [](std::size_t i) { return 262'143'328'850.0 + static_cast<double>(i); });
+                      1'000'000, 2,
+                      [](std::size_t i) { return 262'143'328'850.0 + static_cast<double>(i); });
   std::ostringstream out;
   write_samples_csv(builder.run, out);
   const auto records = parse(out.str());
   ASSERT_EQ(records.size(), 3u);
-  EXPECT_EQ(records[2], (std::vector<std::string>{std::to_string(planted::begin_ns + 1'000'000),
-                                                  "rapl.package-0.energy", "energy", "uJ",
-                                                  "262143328851"}));
+  EXPECT_EQ(records[2],
+            (std::vector<std::string>{std::to_string(planted::begin_ns + 1'000'000),
+                                      "rapl.package-0.energy", "energy", "uJ", "262143328851"}));
 }
 
 }  // namespace

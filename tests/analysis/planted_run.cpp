@@ -1,10 +1,12 @@
 #include "planted_run.h"
 
+#include <fmt/format.h>
+
 #include <cmath>
 
 namespace energyprof::analysis::planted {
 
-RunBuilder::RunBuilder() { run.meta["schema_version"] = "1"; }
+RunBuilder::RunBuilder() { run.meta.emplace("schema_version", "1"); }
 
 Trial& RunBuilder::add_trial(const std::string& model, int64_t view, const std::string& algorithm,
                              const std::vector<double>& times_ms) {
@@ -26,7 +28,7 @@ Trial& RunBuilder::add_trial(const std::string& model, int64_t view, const std::
     frame.clock_error_ns = 2'000;
     frame.ray_count = 1'000;
     frame.hit_count = 400;
-    frame.hit_checksum = "h" + std::to_string(i);
+    frame.hit_checksum = fmt::format("h{}", i);
     now_ns = frame.end_ns;
     run.frames.push_back(frame);
   }
@@ -63,7 +65,8 @@ void RunBuilder::close() {
 
 namespace {
 
-/// Frame i of a pseudo-noisy series around `base_ms`: within 3 %, every 17th frame three times as long.
+/// Frame i of a pseudo-noisy series around `base_ms`: within 3 %, every 17th frame three times as
+/// long.
 std::vector<double> frame_times(double base_ms, std::size_t shift) {
   std::vector<double> times_ms;
   for (std::size_t i = 0; i < 40; ++i) {
@@ -79,26 +82,28 @@ void add_laptop_sensors(RunBuilder& builder) {
   const auto count = static_cast<std::size_t>((builder.now_ns - begin_ns) / ms);
   const auto throttled = [count](std::size_t i) { return i > count / 2 && i < count * 3 / 4; };
   // 15 W, 9 W while throttled: the counter wraps at 10 J.
-  Channel& energy = builder.add_channel(
-      "rapl.package-0.energy", Quantity::energy, Unit::microjoule, Kind::cumulative, ms, count,
-      [&, total = 9'000'000.0](std::size_t i) mutable {
-        total += throttled(i) ? 9'000 : 15'000;
-        return std::fmod(total, 10'000'001.0);
-      });
+  Channel& energy = builder.add_channel("rapl.package-0.energy", Quantity::energy, Unit::microjoule,
+                                        Kind::cumulative, ms, count,
+                                        [&, total = 9'000'000.0](std::size_t i) mutable {
+                                          total += throttled(i) ? 9'000 : 15'000;
+                                          return std::fmod(total, 10'000'001.0);
+                                        });
   energy.wrap_at = 10'000'000;
   energy.read_cost_ns = 2'400;
   energy.origin = "/sys/class/powercap/intel-rapl:0/energy_uj";
-  builder.add_channel("i915.gt0.act_freq", Quantity::frequency, Unit::megahertz, Kind::gauge, ms, count,
-                      [&](std::size_t i) { return throttled(i) ? 600.0 : (i / 7 % 2 == 0 ? 1300.0 : 1250.0); });
-  builder.add_channel("i915.gt0.throttle.pl1", Quantity::throttle, Unit::none, Kind::flag, ms, count,
-                      [&](std::size_t i) { return throttled(i) ? 1.0 : 0.0; });
+  builder.add_channel(
+      "i915.gt0.act_freq", Quantity::frequency, Unit::megahertz, Kind::gauge, ms, count,
+      [&](std::size_t i) { return throttled(i) ? 600.0 : (i / 7 % 2 == 0 ? 1300.0 : 1250.0); });
+  builder.add_channel("i915.gt0.throttle.pl1", Quantity::throttle, Unit::none, Kind::flag, ms,
+                      count, [&](std::size_t i) { return throttled(i) ? 1.0 : 0.0; });
   builder.add_channel("hwmon.coretemp.package_id_0.temp", Quantity::temperature, Unit::millicelsius,
-                      Kind::gauge, 10 * ms, count / 10,
-                      [&](std::size_t i) { return 52'000 + 1'000 * std::floor(0.15 * static_cast<double>(i)); });
-  builder.add_channel("rapl.package-0.limit.long_term", Quantity::limit, Unit::microwatt, Kind::gauge,
-                      100 * ms, count / 100, [](std::size_t) { return 15e6; });
-  builder.add_channel("nvml.gpu0.energy", Quantity::energy, Unit::millijoule, Kind::cumulative, ms, 0,
-                      [](std::size_t) { return 0.0; });
+                      Kind::gauge, 10 * ms, count / 10, [&](std::size_t i) {
+                        return 52'000 + 1'000 * std::floor(0.15 * static_cast<double>(i));
+                      });
+  builder.add_channel("rapl.package-0.limit.long_term", Quantity::limit, Unit::microwatt,
+                      Kind::gauge, 100 * ms, count / 100, [](std::size_t) { return 15e6; });
+  builder.add_channel("nvml.gpu0.energy", Quantity::energy, Unit::millijoule, Kind::cumulative, ms,
+                      0, [](std::size_t) { return 0.0; });
 }
 
 }  // namespace
@@ -123,16 +128,18 @@ RunRecord laptop_run() {
 
   auto& meta = builder.run.meta;
   meta["name"] = "dragon";
-  meta["config"] = R"({"name":"dragon","question":"which paradigm costs least energy per ray here, and why?",
+  meta["config"] =
+      R"({"name":"dragon","question":"which paradigm costs least energy per ray here, and why?",
     "algorithms":["BVH_FTB_BF","KD_TREE","GRID"],"analysis":{"truncate":0.1,"weight_mean":0.5,"weight_stddev":0.5}})";
   meta["device"] = R"({"name":"Iris Xe, planted","type":"integrated","driver":"planted"})";
   meta["host"] = R"({"cpu":"a CPU","kernel":"6.1","os":"Debian 12","cores":8})";
-  meta["device_refusals"] = R"([{"name":"Foo GPU","reason":"timestampValidBits is 0 on its compute queue"}])";
+  meta["device_refusals"] =
+      R"([{"name":"Foo GPU","reason":"timestampValidBits is 0 on its compute queue"}])";
   meta["missing_sensors"] =
       R"([{"source":"perf","reason":"perf_event_paranoid is 3","fix":"sysctl kernel.perf_event_paranoid=1"},
           {"source":"nvml","reason":"libnvidia-ml.so.1 is not installed"}])";
   meta["begin_utc"] = "2024-05-01T10:00:00Z";
-  meta["simulated"] = "1";
+  meta.emplace("simulated", "1");
   meta["verdict"] = "Energy of the CPU package can be sensed; that of the GPU alone cannot.";
   meta["sampler_cpu_ns"] = "12000000";
   meta["sampler_ticks"] = "2000";

@@ -15,8 +15,8 @@ inline constexpr int64_t begin_ns = 1'000'000'000'000;
 class RunBuilder {
  public:
   RunBuilder();
-  /// A trial whose timed frames last `times_ms`; each frame traces 1000 rays, of which 400 hit, with
-  /// the checksum "h<frame>".
+  /// A trial whose timed frames last `times_ms`; each frame traces 1000 rays, of which 400 hit,
+  /// with the checksum "h<frame>".
   Trial& add_trial(const std::string& model, int64_t view, const std::string& algorithm,
                    const std::vector<double>& times_ms);
   /// A channel sampled `count` times, every `period_ns` from begin_ns on; value(i) is sample i.
@@ -30,8 +30,8 @@ class RunBuilder {
   int64_t now_ns = begin_ns;
 };
 
-/// A study as it would come from a laptop: 3 algorithms, 2 models, 2 views, 40 frames, sensors at 1 kHz
-/// for two seconds, a throttled stretch, hostile names, everything the reports can show.
+/// A study as it would come from a laptop: 3 algorithms, 2 models, 2 views, 40 frames, sensors at 1
+/// kHz for two seconds, a throttled stretch, hostile names, everything the reports can show.
 RunRecord laptop_run();
 
 }  // namespace energyprof::analysis::planted

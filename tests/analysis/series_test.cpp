@@ -63,7 +63,8 @@ TEST(Series, RateOfAnEnergyCounterIsItsPower) {
 }
 
 TEST(Series, RateWaitsForTwentyUpdatesOfASlowSensor) {
-  // Polled each ms, moves every 50 ms by 0.5 J: 10 W. Windows are 1 s, not 20 ms of nothing and spikes.
+  // Polled each ms, moves every 50 ms by 0.5 J: 10 W. Windows are 1 s, not 20 ms of nothing and
+  // spikes.
   SampleSeries series;
   for (int i = 0; i < 5000; ++i) {
     series.t_ns.push_back(i * ms);

@@ -120,8 +120,8 @@ TEST(Stats, PercentileIntervalLeavesOutTheTails) {
 }
 
 RC_GTEST_PROP(StatsProperty, CentresLieBetweenTheExtremes, ()) {
-  const auto values = *rc::gen::nonEmpty(
-      rc::gen::container<Values>(rc::gen::map(rc::gen::inRange(-1000, 1000), [](int i) { return i * 0.5; })));
+  const auto values = *rc::gen::nonEmpty(rc::gen::container<Values>(
+      rc::gen::map(rc::gen::inRange(-1000, 1000), [](int i) { return i * 0.5; })));
   const auto [low, high] = std::minmax_element(values.begin(), values.end());
   const double slack = 1e-9;
   for (double centre : {median(values), mean(values), truncated_mean(values, 0.3)})

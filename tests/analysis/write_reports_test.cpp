@@ -32,7 +32,8 @@ class WriteReports : public testing::Test {
 
   [[nodiscard]] std::set<std::string> names() const {
     std::set<std::string> result;
-    for (const auto& entry : fs::directory_iterator(directory_)) result.insert(entry.path().filename());
+    for (const auto& entry : fs::directory_iterator(directory_))
+      result.insert(entry.path().filename());
     return result;
   }
   [[nodiscard]] json parse(const char* name) const {
@@ -46,7 +47,8 @@ TEST_F(WriteReports, WritesFourFilesAndNothingElse) {
   const RunRecord run = planted::laptop_run();
   const auto files = write_reports(run, analyze(run), directory_);
   EXPECT_EQ(files.size(), 4u);
-  EXPECT_EQ(names(), (std::set<std::string>{"report.html", "report.json", "report.md", "timeline.json"}));
+  EXPECT_EQ(names(),
+            (std::set<std::string>{"report.html", "report.json", "report.md", "timeline.json"}));
   EXPECT_EQ(parse("report.json").at("cells").size(), 12u);
   EXPECT_FALSE(parse("timeline.json").at("traceEvents").empty());
 }
@@ -103,7 +105,8 @@ TEST_F(WriteReports, LeavesTheOldFileWhenTheDiskIsFull) {
       message = error.what();
     }
   }
-  EXPECT_THAT(message, AllOf(HasSubstr("timeline.json"), HasSubstr("File too large"), HasSubstr("Free some space")));
+  EXPECT_THAT(message, AllOf(HasSubstr("timeline.json"), HasSubstr("File too large"),
+                             HasSubstr("Free some space")));
   EXPECT_EQ(names(), std::set<std::string>{"timeline.json"});
   EXPECT_EQ(fs::file_size(directory_ / "timeline.json"), 3u);
 }

@@ -226,10 +226,12 @@ CREATE TABLE events(t_ns INTEGER, end_ns INTEGER, severity TEXT, kind TEXT, chan
 
 TEST_F(RunDb, ReadsARunOfAnotherTool) {
   execute(foreign_run);
-  execute("INSERT INTO channels VALUES(4,'x.temp','x','temperature','kelvin','gauge',NULL,NULL,NULL,NULL);"
-          "INSERT INTO samples VALUES(4,10,300.5);"
-          "INSERT INTO trials VALUES(1,'m',NULL,'A',NULL,NULL,5,NULL,NULL,NULL,NULL);"
-          "INSERT INTO frames VALUES(1,1,0,'timed',NULL,5,15,NULL,NULL,NULL,NULL,NULL,NULL);");
+  execute(
+      "INSERT INTO channels "
+      "VALUES(4,'x.temp','x','temperature','kelvin','gauge',NULL,NULL,NULL,NULL);"
+      "INSERT INTO samples VALUES(4,10,300.5);"
+      "INSERT INTO trials VALUES(1,'m',NULL,'A',NULL,NULL,5,NULL,NULL,NULL,NULL);"
+      "INSERT INTO frames VALUES(1,1,0,'timed',NULL,5,15,NULL,NULL,NULL,NULL,NULL,NULL);");
   const RunRecord run = read_run(file());
   EXPECT_EQ(run.channels.at(0).unit_text, "kelvin");
   EXPECT_EQ(run.channels.at(0).unit, Unit::none);

@@ -63,7 +63,8 @@ TEST(TraceMath, TriangleTestDoesNotDependOnTheScale) {
   for (const float scale : {1e-8f, 1e-5f, 1e-3f, 1.0f, 1e4f, 1e8f}) {
     SCOPED_TRACE(scale);
     const Ray ray = {vec3(0.25f, 0.25f, 1.0f) * scale, vec3(0, 0, -1), 0.0f, 1e30f};
-    const Hit hit = closer_hit(Hit{1e30f, 0u}, ray, vec3(0), vec3(scale, 0, 0), vec3(0, scale, 0), 41);
+    const Hit hit =
+        closer_hit(Hit{1e30f, 0u}, ray, vec3(0), vec3(scale, 0, 0), vec3(0, scale, 0), 41);
     EXPECT_EQ(hit.prim_id, 42u);
     EXPECT_FLOAT_EQ(hit.t, scale);
   }

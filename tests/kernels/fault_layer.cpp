@@ -18,8 +18,8 @@
 #include <vulkan/vulkan_core.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cstdlib>
-#include <cstring>
 #include <map>
 #include <mutex>
 #include <optional>
@@ -28,6 +28,7 @@
 #include <string>
 #include <string_view>
 #include <thread>
+#include <type_traits>
 #include <vector>
 
 namespace {
@@ -70,14 +71,56 @@ class Faults {
   std::map<std::string, std::string> values_;
 };
 
+/// The functions of the next layer or the driver. They must be asked for while the instance or
+/// device is created: later the loader answers with the top of the chain.
 struct InstanceNext {
-  VkInstance instance;
-  PFN_vkGetInstanceProcAddr get;
+  InstanceNext() = default;
+  InstanceNext(VkInstance own, PFN_vkGetInstanceProcAddr get_function)
+      : instance(own), get(get_function) {
+    const auto load = [&](const char* name, auto& function) {
+      function = reinterpret_cast<std::remove_reference_t<decltype(function)>>(get(own, name));
+    };
+    load("vkDestroyInstance", destroy_instance);
+    load("vkCreateDevice", create_device);
+    load("vkGetPhysicalDeviceProperties", get_properties);
+    load("vkGetPhysicalDeviceProperties2", get_properties2);
+    load("vkGetPhysicalDeviceQueueFamilyProperties", get_queue_families);
+    load("vkEnumerateDeviceExtensionProperties", enumerate_extensions);
+    load("vkGetPhysicalDeviceCalibrateableTimeDomainsEXT", get_time_domains);
+  }
+
+  VkInstance instance = VK_NULL_HANDLE;
+  PFN_vkGetInstanceProcAddr get = nullptr;
+  PFN_vkDestroyInstance destroy_instance = nullptr;
+  PFN_vkCreateDevice create_device = nullptr;
+  PFN_vkGetPhysicalDeviceProperties get_properties = nullptr;
+  PFN_vkGetPhysicalDeviceProperties2 get_properties2 = nullptr;
+  PFN_vkGetPhysicalDeviceQueueFamilyProperties get_queue_families = nullptr;
+  PFN_vkEnumerateDeviceExtensionProperties enumerate_extensions = nullptr;
+  PFN_vkGetPhysicalDeviceCalibrateableTimeDomainsEXT get_time_domains = nullptr;
 };
 
 struct DeviceNext {
-  VkDevice device;
-  PFN_vkGetDeviceProcAddr get;
+  DeviceNext() = default;
+  DeviceNext(VkDevice device, PFN_vkGetDeviceProcAddr get_function) : get(get_function) {
+    const auto load = [&](const char* name, auto& function) {
+      function = reinterpret_cast<std::remove_reference_t<decltype(function)>>(get(device, name));
+    };
+    load("vkDestroyDevice", destroy_device);
+    load("vkGetCalibratedTimestampsEXT", get_calibrated_timestamps);
+    load("vkGetQueryPoolResults", get_query_results);
+    load("vkQueueSubmit", queue_submit);
+    load("vkWaitForFences", wait_for_fences);
+    load("vkAllocateMemory", allocate_memory);
+  }
+
+  PFN_vkGetDeviceProcAddr get = nullptr;
+  PFN_vkDestroyDevice destroy_device = nullptr;
+  PFN_vkGetCalibratedTimestampsEXT get_calibrated_timestamps = nullptr;
+  PFN_vkGetQueryPoolResults get_query_results = nullptr;
+  PFN_vkQueueSubmit queue_submit = nullptr;
+  PFN_vkWaitForFences wait_for_fences = nullptr;
+  PFN_vkAllocateMemory allocate_memory = nullptr;
 };
 
 std::mutex mutex;
@@ -89,17 +132,8 @@ std::set<void*> lost_devices;
 /// Handles of one instance, or of one device, begin with the same pointer.
 void* key(const void* handle) { return *static_cast<void* const*>(handle); }
 
-template <typename Function, typename Handle>
-Function next_of_instance(Handle handle, const char* name) {
-  const InstanceNext& next = instances.at(key(handle));
-  return reinterpret_cast<Function>(next.get(next.instance, name));
-}
-
-template <typename Function, typename Handle>
-Function next_of_device(Handle handle, const char* name) {
-  const DeviceNext& next = devices.at(key(handle));
-  return reinterpret_cast<Function>(next.get(next.device, name));
-}
+const InstanceNext& instance_of(const void* handle) { return instances.at(key(handle)); }
+const DeviceNext& device_of(const void* handle) { return devices.at(key(handle)); }
 
 /// The loader's link to the next layer.
 template <typename Link, VkStructureType type>
@@ -121,13 +155,13 @@ VkResult VKAPI_CALL create_instance(const VkInstanceCreateInfo* info,
   link->u.pLayerInfo = link->u.pLayerInfo->pNext;
   const auto create = reinterpret_cast<PFN_vkCreateInstance>(get(nullptr, "vkCreateInstance"));
   const VkResult result = create(info, allocator, instance);
-  if (result == VK_SUCCESS) instances[key(*instance)] = {*instance, get};
+  if (result == VK_SUCCESS) instances[key(*instance)] = InstanceNext(*instance, get);
   return result;
 }
 
 void VKAPI_CALL destroy_instance(VkInstance instance, const VkAllocationCallbacks* allocator) {
   const std::lock_guard lock(mutex);
-  const auto destroy = next_of_instance<PFN_vkDestroyInstance>(instance, "vkDestroyInstance");
+  const auto destroy = instance_of(instance).destroy_instance;
   instances.erase(key(instance));
   destroy(instance, allocator);
 }
@@ -137,14 +171,11 @@ VkResult VKAPI_CALL create_device(VkPhysicalDevice physical, const VkDeviceCreat
   const std::lock_guard lock(mutex);
   auto* link =
       find_link<VkLayerDeviceCreateInfo, VK_STRUCTURE_TYPE_LOADER_DEVICE_CREATE_INFO>(info->pNext);
-  const PFN_vkGetInstanceProcAddr get_instance = link->u.pLayerInfo->pfnNextGetInstanceProcAddr;
   const PFN_vkGetDeviceProcAddr get = link->u.pLayerInfo->pfnNextGetDeviceProcAddr;
   link->u.pLayerInfo = link->u.pLayerInfo->pNext;
-  const auto create = reinterpret_cast<PFN_vkCreateDevice>(
-      get_instance(instances.at(key(physical)).instance, "vkCreateDevice"));
-  const VkResult result = create(physical, info, allocator, device);
+  const VkResult result = instance_of(physical).create_device(physical, info, allocator, device);
   if (result == VK_SUCCESS) {
-    devices[key(*device)] = {*device, get};
+    devices[key(*device)] = DeviceNext(*device, get);
     lost_devices.erase(key(*device));
   }
   return result;
@@ -152,7 +183,7 @@ VkResult VKAPI_CALL create_device(VkPhysicalDevice physical, const VkDeviceCreat
 
 void VKAPI_CALL destroy_device(VkDevice device, const VkAllocationCallbacks* allocator) {
   const std::lock_guard lock(mutex);
-  const auto destroy = next_of_device<PFN_vkDestroyDevice>(device, "vkDestroyDevice");
+  const auto destroy = device_of(device).destroy_device;
   devices.erase(key(device));
   destroy(device, allocator);
 }
@@ -170,24 +201,21 @@ void change(VkPhysicalDeviceProperties& properties) {
 
 void VKAPI_CALL get_properties(VkPhysicalDevice physical, VkPhysicalDeviceProperties* properties) {
   const std::lock_guard lock(mutex);
-  next_of_instance<PFN_vkGetPhysicalDeviceProperties>(physical, "vkGetPhysicalDeviceProperties")(
-      physical, properties);
+  instance_of(physical).get_properties(physical, properties);
   change(*properties);
 }
 
 void VKAPI_CALL get_properties2(VkPhysicalDevice physical,
                                 VkPhysicalDeviceProperties2* properties) {
   const std::lock_guard lock(mutex);
-  next_of_instance<PFN_vkGetPhysicalDeviceProperties2>(physical, "vkGetPhysicalDeviceProperties2")(
-      physical, properties);
+  instance_of(physical).get_properties2(physical, properties);
   change(properties->properties);
 }
 
 void VKAPI_CALL get_queue_families(VkPhysicalDevice physical, uint32_t* count,
                                    VkQueueFamilyProperties* families) {
   const std::lock_guard lock(mutex);
-  next_of_instance<PFN_vkGetPhysicalDeviceQueueFamilyProperties>(
-      physical, "vkGetPhysicalDeviceQueueFamilyProperties")(physical, count, families);
+  instance_of(physical).get_queue_families(physical, count, families);
   const auto bits = faults.number("valid-bits");
   if (families == nullptr || !bits) return;
   for (uint32_t i = 0; i < *count; ++i) {
@@ -213,8 +241,7 @@ VkResult VKAPI_CALL enumerate_extensions(VkPhysicalDevice physical, const char* 
                                          uint32_t* count, VkExtensionProperties* out) {
   const std::lock_guard lock(mutex);
   if (layer != nullptr && layer == layer_name) return give<VkExtensionProperties>({}, count, out);
-  const auto next = next_of_instance<PFN_vkEnumerateDeviceExtensionProperties>(
-      physical, "vkEnumerateDeviceExtensionProperties");
+  const auto next = instance_of(physical).enumerate_extensions;
   if (!faults.has("no-calibrated")) return next(physical, layer, count, out);
   uint32_t all_count = 0;
   next(physical, layer, &all_count, nullptr);
@@ -229,8 +256,7 @@ VkResult VKAPI_CALL enumerate_extensions(VkPhysicalDevice physical, const char* 
 VkResult VKAPI_CALL get_time_domains(VkPhysicalDevice physical, uint32_t* count,
                                      VkTimeDomainEXT* out) {
   const std::lock_guard lock(mutex);
-  const auto next = next_of_instance<PFN_vkGetPhysicalDeviceCalibrateableTimeDomainsEXT>(
-      physical, "vkGetPhysicalDeviceCalibrateableTimeDomainsEXT");
+  const auto next = instance_of(physical).get_time_domains;
   if (!faults.has("no-monotonic")) return next(physical, count, out);
   return give<VkTimeDomainEXT>({VK_TIME_DOMAIN_DEVICE_EXT, VK_TIME_DOMAIN_CLOCK_MONOTONIC_RAW_EXT},
                                count, out);
@@ -251,8 +277,7 @@ VkResult VKAPI_CALL get_calibrated_timestamps(VkDevice device, uint32_t count,
                                               const VkCalibratedTimestampInfoEXT* infos,
                                               uint64_t* times, uint64_t* deviation) {
   const std::lock_guard lock(mutex);
-  const auto next =
-      next_of_device<PFN_vkGetCalibratedTimestampsEXT>(device, "vkGetCalibratedTimestampsEXT");
+  const auto next = device_of(device).get_calibrated_timestamps;
   const VkResult result = next(device, count, infos, times, deviation);
   for (uint32_t i = 0; i < count; ++i) {
     if (infos[i].timeDomain == VK_TIME_DOMAIN_DEVICE_EXT) times[i] = change(times[i]);
@@ -265,8 +290,8 @@ VkResult VKAPI_CALL get_query_results(VkDevice device, VkQueryPool pool, uint32_
                                       uint32_t count, size_t size, void* data, VkDeviceSize stride,
                                       VkQueryResultFlags flags) {
   const std::lock_guard lock(mutex);
-  const VkResult result = next_of_device<PFN_vkGetQueryPoolResults>(
-      device, "vkGetQueryPoolResults")(device, pool, first, count, size, data, stride, flags);
+  const VkResult result =
+      device_of(device).get_query_results(device, pool, first, count, size, data, stride, flags);
   auto* ticks = static_cast<uint64_t*>(data);
   std::transform(ticks, ticks + count, ticks, [](uint64_t value) { return change(value); });
   return result;
@@ -278,7 +303,7 @@ VkResult VKAPI_CALL queue_submit(VkQueue queue, uint32_t count, const VkSubmitIn
   ++faults.submit_count;
   if (faults.submit_count == faults.number("device-lost")) lost_devices.insert(key(queue));
   if (lost_devices.contains(key(queue))) return VK_ERROR_DEVICE_LOST;
-  return next_of_device<PFN_vkQueueSubmit>(queue, "vkQueueSubmit")(queue, count, infos, fence);
+  return device_of(queue).queue_submit(queue, count, infos, fence);
 }
 
 VkResult VKAPI_CALL wait_for_fences(VkDevice device, uint32_t count, const VkFence* fences,
@@ -291,7 +316,7 @@ VkResult VKAPI_CALL wait_for_fences(VkDevice device, uint32_t count, const VkFen
     if (faults.wait_count == faults.number("device-lost-wait")) lost_devices.insert(key(device));
     if (lost_devices.contains(key(device))) return VK_ERROR_DEVICE_LOST;
     hangs = faults.submit_count >= faults.number("hang").value_or(~uint64_t{0});
-    next = next_of_device<PFN_vkWaitForFences>(device, "vkWaitForFences");
+    next = device_of(device).wait_for_fences;
   }
   if (!hangs) return next(device, count, fences, all, timeout_ns);
   std::this_thread::sleep_for(std::chrono::nanoseconds(timeout_ns));
@@ -306,8 +331,7 @@ VkResult VKAPI_CALL allocate_memory(VkDevice device, const VkMemoryAllocateInfo*
   if (faults.allocation_count == faults.number("out-of-memory")) {
     return VK_ERROR_OUT_OF_DEVICE_MEMORY;
   }
-  return next_of_device<PFN_vkAllocateMemory>(device, "vkAllocateMemory")(device, info, allocator,
-                                                                          memory);
+  return device_of(device).allocate_memory(device, info, allocator, memory);
 }
 
 VKAPI_ATTR PFN_vkVoidFunction VKAPI_CALL get_device_function(VkDevice device, const char* name);
@@ -357,14 +381,14 @@ PFN_vkVoidFunction own_instance_function(const char* name) {
 PFN_vkVoidFunction VKAPI_CALL get_device_function(VkDevice device, const char* name) {
   if (const PFN_vkVoidFunction own = own_device_function(name)) return own;
   const std::lock_guard lock(mutex);
-  return devices.at(key(device)).get(device, name);
+  return device_of(device).get(device, name);
 }
 
 PFN_vkVoidFunction VKAPI_CALL get_instance_function(VkInstance instance, const char* name) {
   if (const PFN_vkVoidFunction own = own_instance_function(name)) return own;
   if (const PFN_vkVoidFunction own = own_device_function(name)) return own;
   const std::lock_guard lock(mutex);
-  return instance == nullptr ? nullptr : instances.at(key(instance)).get(instance, name);
+  return instance == nullptr ? nullptr : instance_of(instance).get(instance, name);
 }
 
 }  // namespace

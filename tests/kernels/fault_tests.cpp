@@ -86,6 +86,9 @@ TEST_F(Faults, AHangEndsAsALostDevice) {
   TraceProgram program(device, setup());
   const std::string error = error_of<DeviceLost>([&] { program.run_frame(0, Phase::timed); });
   EXPECT_THAT(error, HasSubstr("not finished after 0.3 s"));
+  // What may still be running is neither waited for nor used again.
+  EXPECT_THAT(error_of<DeviceLost>([&] { program.run_frame(1, Phase::timed); }),
+              HasSubstr("the device was lost earlier"));
 }
 
 TEST_F(Faults, MissingMemoryNamesTheBufferAndItsSize) {
@@ -178,17 +181,19 @@ TEST_F(Faults, DiscreteDevicesGetTheirDataThroughStagingBuffers) {
 }
 
 TEST_F(Faults, StagingCopiesMoreThanItsBufferHolds) {
-  // 1 M pixels of 16 bytes and 16 more: read back in two pieces.
+  // 16 MiB of pixels and a row more: read back in two pieces. The triangle fills the last row, and
+  // leaves the first one empty.
   const ScopedFault fault("device-type:discrete");
   ValidatedDevice device;
-  const AccelBlob blob = build_halves(random_triangles(3, 2));
-  const gpu::FrameConstants constants = looking_at_cube(1, (1u << 20u) + 1);
+  const AccelBlob blob = build_halves({{{-9, -9, 1}, {9, -9, 1}, {0.5f, 0.9f, 1}}});
+  const gpu::FrameConstants constants = looking_at_cube(1024, 1025);
   TraceProgram program(*device, {.blob = blob, .constants = constants});
   const ExpectedFrame expected = trace_brute_force(blob, constants, 0);
   EXPECT_EQ(program.run_frame(0, Phase::timed).hit_checksum, expected.checksum);
   const auto hits = program.read_hits();
   ASSERT_EQ(hits.size(), expected.hits.size());
-  EXPECT_EQ(hits.back().primary_id, expected.hits.back().primary_id);
+  EXPECT_EQ(hits.front().primary_id, 0u);
+  EXPECT_EQ(hits.back().primary_id, 1u);
   size_t different = 0;
   for (size_t i = 0; i < hits.size(); ++i) {
     different += hits[i].primary_id != expected.hits[i].primary_id;

@@ -29,7 +29,7 @@ TEST(Tiling, StaysWhereADispatchIsNeitherLongNorShort) {
 TEST(Tiling, NeverGoesBelowOneWorkgroupNorAboveTheImage) {
   EXPECT_EQ(next_rows_per_dispatch(8, 60 * ns_per_s, 8, 720), 8u);
   EXPECT_EQ(next_rows_per_dispatch(5, 60 * ns_per_s, 8, 5), 5u);
-  EXPECT_EQ(next_rows_per_dispatch(32, 0, 8, 20), 20u);
+  EXPECT_EQ(next_rows_per_dispatch(16, 0, 8, 20), 20u);
 }
 
 RC_GTEST_PROP(Tiling, SettlesBelowTheLimit, ()) {

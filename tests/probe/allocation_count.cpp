@@ -13,6 +13,10 @@ void* operator new(std::size_t byte_count) {
   if (void* memory = std::malloc(byte_count == 0 ? 1 : byte_count)) return memory;
   throw std::bad_alloc();
 }
+void* operator new(std::size_t byte_count, const std::nothrow_t&) noexcept {
+  ++count_of_thread;
+  return std::malloc(byte_count == 0 ? 1 : byte_count);
+}
 void operator delete(void* memory) noexcept { std::free(memory); }
 void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
 

@@ -154,8 +154,9 @@ TEST(RaptorLakeLaptop, HasItsOtherSensors) {
   EXPECT_THAT(found.missing, missing("thermal", "INT3400"));
   EXPECT_THAT(found.missing, missing("cgroup", "quota"));
   EXPECT_THAT(found.missing, missing("perf", "not under --root"));
-  EXPECT_THAT(verdict(found), AllOf(HasSubstr("energy (rapl.package-0.energy"),
-                                    HasSubstr("Cannot: power, GPU clock, cache misses")));
+  EXPECT_THAT(verdict(found),
+              AllOf(HasSubstr("energy (rapl.package-0.energy"),
+                    HasSubstr("Cannot: power, GPU clock, GPU throttling, cache misses")));
 }
 
 TEST(PhoenixApu, WrapsAtTheRangeOfItsOwnCounter) {

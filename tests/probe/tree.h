@@ -8,6 +8,7 @@
 #include <fstream>
 #include <initializer_list>
 #include <map>
+#include <ostream>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -16,6 +17,10 @@
 #include "probe/discover.h"
 
 namespace energyprof::probe {
+
+inline void PrintTo(const Missing& missing, std::ostream* out) {
+  *out << missing.source << ": " << missing.reason << " [" << missing.fix << "]";
+}
 
 /// A directory that is removed again.
 class Tree {

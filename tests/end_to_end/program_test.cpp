@@ -1,0 +1,546 @@
+// The program from outside: its outputs, its exit codes, the exact line for each kind of bad input.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <nlohmann/json.hpp>
+#include <thread>
+
+#include "core/run_db.h"
+#include "tests/end_to_end/program.h"
+
+namespace energyprof {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+using test::Output;
+using test::Process;
+using test::read_text;
+using testing::EndsWith;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::Not;
+
+using Arguments = std::vector<std::string>;
+using Environment = std::map<std::string, std::string>;
+
+class Program : public testing::Test {
+ protected:
+  static Arguments command(Arguments arguments) {
+    arguments.insert(arguments.begin(), ENERGYPROF_PROGRAM);
+    return arguments;
+  }
+  static Output program(const Arguments& arguments, const Environment& env = {}) {
+    return test::run(command(arguments), env);
+  }
+
+  /// A study of the teapot that takes a second, with `more` arguments.
+  [[nodiscard]] Arguments small_study(const Arguments& more = {}) const {
+    Arguments arguments{"--config", config_, "--out", out().string()};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return arguments;
+  }
+  [[nodiscard]] fs::path out() const { return dir_ / "run"; }
+
+  [[nodiscard]] std::string write(const std::string& name, const std::string& content) const {
+    std::ofstream(dir_ / name, std::ios::binary) << content;
+    return (dir_ / name).string();
+  }
+
+  static constexpr const char* small_config = R"({
+    // Comments are allowed.
+    "name": "small", "models": ["teapot:2"], "algorithms": ["BVH_FTB_DF"],
+    "image": {"width": 64, "height": 36}, "frames": {"warmup": 1, "timed": 8}
+  })";
+
+  test::TempDir dir_;
+  std::string config_ = write("small.json", small_config);
+};
+
+/// No device, no test of tracing.
+class Tracing : public Program {
+ protected:
+  void SetUp() override {
+    const json probe = json::parse(program({"probe", "--json"}).out);
+    for (const json& device : probe.at("devices"))
+      if (device.at("refused").is_null()) return;
+    GTEST_SKIP() << "no Vulkan device";
+  }
+};
+
+json read_json(const fs::path& file) { return json::parse(read_text(file)); }
+
+// ---------------------------------------------------------------------------- the study
+
+TEST_F(Tracing, LeavesEverythingItPromises) {
+  const Output output = program(small_study());
+  ASSERT_EQ(output.code, 0) << output.err;
+  for (const char* name : {"run.sqlite", "timeline.json", "report.json", "report.md", "report.html",
+                           "images/teapot_2_view0_reference.png"}) {
+    EXPECT_TRUE(fs::exists(out() / name)) << name;
+  }
+  EXPECT_FALSE(fs::exists(out() / "run.sqlite-wal"));
+  EXPECT_THAT(output.out, HasSubstr("BVH_FTB_DF"));
+  EXPECT_THAT(output.out, HasSubstr((out() / "report.html").string()));
+  EXPECT_THAT(output.err, Not(HasSubstr("\033")));  // no terminal, no control codes
+  EXPECT_THAT(output.err, HasSubstr("[1/3] teapot:2 view "));
+
+  const RunRecord run = read_run(out());
+  EXPECT_EQ(run.trials.size(), 3u);
+  EXPECT_EQ(run.frames.size(), 3u * (1 + 8 + 1));
+  for (const FrameRecord& frame : run.frames) {
+    EXPECT_GT(frame.end_ns, frame.begin_ns);
+    EXPECT_GE(frame.begin_ns + frame.clock_error_ns.value_or(0), frame.submit_ns);
+    EXPECT_EQ(frame.hit_checksum.size(), 16u);
+    EXPECT_GE(frame.ray_count, 64 * 36);
+    EXPECT_EQ(frame.node_visit_count.has_value(), frame.phase == Phase::counted);
+  }
+  EXPECT_FALSE(run.channels.empty());
+  EXPECT_FALSE(run.series.empty());
+  for (const char* key : {"schema_version", "config", "host", "device", "driver", "code_version",
+                          "begin_ns", "end_ns", "interrupted", "simulated"}) {
+    EXPECT_TRUE(run.meta.contains(key)) << key;
+  }
+  EXPECT_EQ(run.meta.at("interrupted"), "0");
+  EXPECT_EQ(run.meta.at("simulated"), "0");
+
+  const json report = read_json(out() / "report.json");
+  EXPECT_EQ(report["cells"].size(), 3u);
+  EXPECT_EQ(report["ranking"][0]["algorithm"], "BVH_FTB_DF");
+  EXPECT_FALSE(read_json(out() / "timeline.json")["traceEvents"].empty());
+}
+
+TEST_F(Tracing, TwoRunsHitTheSame) {
+  ASSERT_EQ(program(small_study({"--quiet"})).code, 0);
+  const RunRecord first = read_run(out());
+  fs::remove_all(out());
+  ASSERT_EQ(program(small_study({"--quiet"})).code, 0);
+  const RunRecord second = read_run(out());
+  ASSERT_EQ(first.frames.size(), second.frames.size());
+  for (size_t i = 0; i < first.frames.size(); ++i)
+    EXPECT_EQ(first.frames[i].hit_checksum, second.frames[i].hit_checksum);
+}
+
+TEST_F(Tracing, QuietMeansNothingOnStderr) {
+  EXPECT_THAT(program(small_study({"--quiet"})).err, IsEmpty());
+}
+
+TEST_F(Tracing, QuickSaysSoInEveryOutput) {
+  const Output output = program(small_study({"--quick", "--set", "frames.timed=99"}));
+  ASSERT_EQ(output.code, 0) << output.err;
+  EXPECT_THAT(output.out, HasSubstr("QUICK: "));
+  EXPECT_THAT(output.out, HasSubstr("timed frames 16 instead of 99"));
+  EXPECT_THAT(read_text(out() / "report.md"), HasSubstr("timed frames 16 instead of 99"));
+  EXPECT_THAT(read_text(out() / "report.html"), HasSubstr("timed frames 16 instead of 99"));
+  EXPECT_EQ(read_json(out() / "report.json")["run"]["quick"], true);
+}
+
+TEST_F(Tracing, AFixtureMachineIsMarkedSimulated) {
+  const std::string root = ENERGYPROF_TEST_DATA "/sysfs/intel-rplp-i915-laptop";
+  const Output output = program(small_study({"--root", root}));
+  ASSERT_EQ(output.code, 0) << output.err;
+  EXPECT_THAT(output.out, HasSubstr("SIMULATED"));
+  EXPECT_THAT(read_text(out() / "report.md"), HasSubstr("SIMULATED"));
+  EXPECT_THAT(read_text(out() / "timeline.json"), HasSubstr("SIMULATED"));
+  const RunRecord run = read_run(out());
+  EXPECT_EQ(run.meta.at("simulated"), "1");
+  const auto energy = std::find_if(run.channels.begin(), run.channels.end(), [](const Channel& c) {
+    return c.name == "rapl.package-0.energy";
+  });
+  ASSERT_NE(energy, run.channels.end());
+  EXPECT_TRUE(run.series.contains(energy->id));
+}
+
+TEST_F(Tracing, TheReportOpensInABrowserWithoutAnError) {
+  if (test::run({"chromium", "--version"}).code != 0) GTEST_SKIP() << "chromium is not installed";
+  ASSERT_EQ(program(small_study({"--quiet"})).code, 0);
+  const Output page = test::run(
+      {"timeout", "60", "chromium", "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
+       "--no-first-run", "--disable-background-networking", "--disable-component-update",
+       "--disable-sync", "--user-data-dir=" + (dir_ / "browser").string(), "--enable-logging=stderr",
+       "--virtual-time-budget=5000", "--dump-dom", "file://" + (out() / "report.html").string()});
+  ASSERT_EQ(page.code, 0) << page.err;
+  EXPECT_THAT(page.err, Not(HasSubstr("CONSOLE")));
+  EXPECT_THAT(page.out, HasSubstr("<canvas"));  // the charts were drawn
+  EXPECT_THAT(page.out, HasSubstr("BVH_FTB_DF"));
+}
+
+TEST_F(Tracing, AnalyzeGivesTheSameNumbersAgain) {
+  ASSERT_EQ(program(small_study({"--quiet"})).code, 0);
+  const std::string before = read_text(out() / "report.json");
+  fs::remove(out() / "report.json");
+  ASSERT_EQ(program({"analyze", out().string()}).code, 0);
+  EXPECT_EQ(read_text(out() / "report.json"), before);
+  ASSERT_EQ(program({"analyze", (out() / "run.sqlite").string()}).code, 0);
+  EXPECT_EQ(read_text(out() / "report.json"), before);
+}
+
+TEST_F(Tracing, ExportsCsvAndTimeline) {
+  ASSERT_EQ(program(small_study({"--quiet"})).code, 0);
+  ASSERT_EQ(program({"export", out().string(), "--format", "csv", "--out", (dir_ / "csv").string()}).code, 0);
+  const std::string frames = read_text(dir_ / "csv/frames.csv");
+  EXPECT_EQ(std::count(frames.begin(), frames.end(), '\n'), 1 + 30);
+  EXPECT_GT(fs::file_size(dir_ / "csv/samples.csv"), 100u);
+  const std::string timeline = (dir_ / "t.json").string();
+  ASSERT_EQ(program({"export", out().string(), "--format", "timeline", "--full", "--out", timeline}).code, 0);
+  EXPECT_FALSE(read_json(timeline)["traceEvents"].empty());
+}
+
+TEST_F(Tracing, PaceSpreadsTheFrames) {
+  ASSERT_EQ(program(small_study({"--quiet", "--set", "frames.pace=fps:50", "--set", "views=[0]"})).code, 0);
+  const RunRecord run = read_run(out());
+  ASSERT_EQ(run.frames.size(), 10u);
+  // Nine gaps of 20 ms: no frame may come early, so at least 170 ms pass.
+  EXPECT_GE(run.frames.back().submit_ns - run.frames.front().submit_ns, 170'000'000);
+}
+
+TEST_F(Tracing, EmptyViewsOfAUserWork) {
+  const Output output = program(small_study(
+      {"--set", R"(views=[{"phi":0,"theta":0,"distance":9},{"phi":1.5,"theta":3,"distance":8,"target":[0,1,0]}])"}));
+  EXPECT_EQ(output.code, 0) << output.err;  // straight down is a view like any other
+}
+
+// ---------------------------------------------------------------------------- the end of a run
+
+/// Waits until the program's stderr says `text`.
+void wait_for(const Process& process, const std::string& text) {
+  for (int i = 0; i < 600; ++i) {
+    if (process.err_so_far().find(text) != std::string::npos) return;
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  }
+  FAIL() << "never said: " << text;
+}
+
+class Ending : public Tracing {
+ protected:
+  /// A study of 300 trials: it will not end by itself in time.
+  [[nodiscard]] Arguments long_study() const {
+    return command(small_study({"--set", "order.repetitions=100", "--set", "frames.timed=50"}));
+  }
+};
+
+TEST_F(Ending, CtrlCKeepsAndAnalysesWhatWasMeasured) {
+  Process process(long_study(), {});
+  wait_for(process, "[2/300]");
+  process.send(SIGINT);
+  const Output output = process.wait();
+  EXPECT_EQ(output.code, 130) << output.err;
+  EXPECT_THAT(output.out, HasSubstr("INTERRUPTED"));
+  const RunRecord run = read_run(out());
+  EXPECT_EQ(run.meta.at("interrupted"), "1");
+  EXPECT_GE(run.trials.size(), 2u);
+  EXPECT_TRUE(fs::exists(out() / "report.html"));
+}
+
+TEST_F(Ending, KilledRunOpensAndCanBeAnalysed) {
+  Process process(long_study(), {});
+  wait_for(process, "[4/300]");
+  process.send(SIGKILL);
+  EXPECT_EQ(process.wait().code, 128 + SIGKILL);
+  const RunRecord run = read_run(out());
+  EXPECT_FALSE(run.frames.empty());
+  EXPECT_FALSE(run.series.empty());
+  EXPECT_FALSE(run.meta.contains("end_ns"));
+  const Output output = program({"analyze", out().string()});
+  EXPECT_EQ(output.code, 0) << output.err;
+  EXPECT_TRUE(fs::exists(out() / "report.html"));
+}
+
+TEST_F(Ending, FullDiskIsOneLineAndKeepsWhatWasRecorded) {
+  // A 2 MiB disk in a mount namespace of its own; the run directory is looked at from inside.
+  const std::string script =
+      "mount -t tmpfs -o size=2m none \"$1\" || exit 99; shift\n"
+      "\"$@\"; code=$?\n"
+      "sqlite3 \"$RUN/run.sqlite\" 'select count(*) > 0 from samples' >&2; exit $code";
+  fs::create_directory(dir_ / "disk");
+  Arguments study = command({"--config", config_, "--out", (dir_ / "disk/run").string(), "--quiet",
+                             "--set", "order.repetitions=1000", "--set", "sampler.rate_hz=5000"});
+  Arguments all{"unshare", "--mount", "bash", "-c", script, "bash", (dir_ / "disk").string()};
+  all.insert(all.end(), study.begin(), study.end());
+  const Output output = test::run(all, {{"RUN", (dir_ / "disk/run").string()}});
+  if (output.code == 99 || output.err.find("unshare") != std::string::npos)
+    GTEST_SKIP() << "needs root to mount a small disk: " << output.err;
+  EXPECT_EQ(output.code, 1);
+  EXPECT_THAT(output.err, HasSubstr("energyprof: cannot record to '" +
+                                    (dir_ / "disk/run/run.sqlite").string() +
+                                    "': database or disk is full."));
+  EXPECT_THAT(output.err, HasSubstr("What was recorded until then is readable."));
+  EXPECT_THAT(output.err, HasSubstr("\n1\n"));
+}
+
+// ---------------------------------------------------------------------------- failing devices
+
+Environment fault(const std::string& what) {
+  return {{"VK_ADD_LAYER_PATH", ENERGYPROF_FAULT_LAYER_DIR},
+          {"VK_INSTANCE_LAYERS", "VK_LAYER_ENERGYPROF_fault"},
+          {"EP_FAULT", what},
+          {"ENERGYPROF_VALIDATION", "0"}};
+}
+
+TEST_F(Tracing, ALostDeviceCostsOneTrial) {
+  const Output output = program(small_study(), fault("device-lost:8"));
+  ASSERT_EQ(output.code, 0) << output.err;
+  const RunRecord run = read_run(out());
+  ASSERT_EQ(run.trials.size(), 3u);
+  EXPECT_THAT(run.trials[0].skip_reason, HasSubstr("VK_ERROR_DEVICE_LOST"));
+  EXPECT_EQ(run.trials[1].skip_reason, "");
+  EXPECT_EQ(run.trials[2].skip_reason, "");
+  EXPECT_THAT(output.err, HasSubstr("skipped: "));
+  EXPECT_EQ(read_json(out() / "report.json")["cells"].size(), 2u);
+}
+
+TEST_F(Tracing, OutOfMemoryCostsOneTrial) {
+  const Output output = program(small_study(), fault("out-of-memory:1"));
+  ASSERT_EQ(output.code, 0) << output.err;
+  const RunRecord run = read_run(out());
+  ASSERT_EQ(run.trials.size(), 3u);
+  EXPECT_THAT(run.trials[0].skip_reason, HasSubstr("memory"));
+  EXPECT_EQ(run.trials[1].skip_reason, "");
+}
+
+TEST_F(Tracing, WithoutCalibratedTimestampsTheMetaSaysSo) {
+  ASSERT_EQ(program(small_study({"--quiet"}), fault("no-calibrated")).code, 0);
+  const RunRecord run = read_run(out());
+  EXPECT_THAT(run.meta.at("clock_method"), HasSubstr("calibrated_timestamps"));
+  for (const FrameRecord& frame : run.frames) {
+    ASSERT_TRUE(frame.clock_error_ns);
+    EXPECT_GT(*frame.clock_error_ns, 0);
+  }
+}
+
+TEST_F(Tracing, ABufferTooLargeForTheDeviceIsRefusedByNumber) {
+  const Output output =
+      program(small_study({"--set", "models.0=teapot:40"}), fault("small-range"));
+  EXPECT_EQ(output.code, 1);
+  EXPECT_THAT(output.err, HasSubstr("energyprof: no trial could be traced: no Vulkan device fits: "));
+  EXPECT_THAT(output.err, EndsWith("maxStorageBufferRange is 1 MiB, the node buffer needs 6.24 MiB.\n"));
+}
+
+TEST_F(Program, NoDeviceIsOneLine) {
+  const Output output = program(small_study(), {{"VK_DRIVER_FILES", "/nonexistent.json"}});
+  EXPECT_EQ(output.code, 1);
+  EXPECT_EQ(std::count(output.err.begin(), output.err.end(), '\n'), 1);
+  EXPECT_THAT(output.err, HasSubstr("energyprof: "));
+  EXPECT_THAT(output.err, HasSubstr("mesa-vulkan-drivers"));
+  EXPECT_FALSE(fs::exists(out()));
+}
+
+TEST_F(Program, NoLoaderIsOneLine) {
+  fs::create_directory(dir_ / "lib");
+  std::ofstream(dir_ / "lib/libvulkan.so.1") << "";  // found first, and no library
+  const Output output = program(small_study(), {{"LD_LIBRARY_PATH", (dir_ / "lib").string()}});
+  EXPECT_EQ(output.code, 1);
+  EXPECT_EQ(std::count(output.err.begin(), output.err.end(), '\n'), 1) << output.err;
+  EXPECT_THAT(output.err, HasSubstr("libvulkan.so.1"));
+  EXPECT_EQ(program({"probe"}, {{"LD_LIBRARY_PATH", (dir_ / "lib").string()}}).code, 0);
+}
+
+TEST_F(Tracing, AnUnknownDeviceNameListsWhatThereIs) {
+  const Output output = program(small_study({"--device", "Voodoo 2"}));
+  EXPECT_EQ(output.code, 1);
+  EXPECT_THAT(output.err, HasSubstr("Voodoo 2"));
+}
+
+// ---------------------------------------------------------------------------- bad input
+
+struct BadMesh {
+  const char* name;
+  const char* extension;
+  std::string content;
+  const char* line;  ///< after "energyprof: cannot read mesh 'FILE': "
+};
+void PrintTo(const BadMesh& bad, std::ostream* out) { *out << bad.name; }
+
+const std::string ply_head =
+    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float "
+    "z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n";
+
+class BadMeshes : public Program, public testing::WithParamInterface<BadMesh> {};
+
+TEST_P(BadMeshes, AreOneLineThatNamesThePlace) {
+  const BadMesh& bad = GetParam();
+  const std::string file = write(std::string("bad") + bad.extension, bad.content);
+  const Output output = program(small_study({"--set", "models.0=" + file}));
+  EXPECT_EQ(output.code, 1);
+  EXPECT_EQ(output.err, "energyprof: cannot read mesh '" + file + "': " + bad.line + "\n");
+  EXPECT_FALSE(fs::exists(out()));
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Program, BadMeshes,
+    testing::Values(
+        BadMesh{"empty", ".ply", "", "it is empty."},
+        BadMesh{"garbage", ".ply", "\x01\x02\xff\xfe garbage",
+                "line 1: a PLY file begins with 'ply', not with '\\x01\\x02\\xff\\xfe garbage'."},
+        BadMesh{"truncated", ".ply", ply_head + "0 0 0\n1 0 0\n",
+                "its header promises 3 'vertex' elements, of 6 bytes or more each, and 13 bytes are "
+                "left; the file is cut off or its header is wrong."},
+        BadMesh{"huge_count", ".ply",
+                "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\n"
+                "property float y\nproperty float z\nend_header\n",
+                "line 3: 4000000000 vertex elements are too many; at most 2147483646 fit."},
+        BadMesh{"nan", ".ply", ply_head + "0 0 0\n1 nan 0\n0 1 0\n3 0 1 2\n",
+                "line 11: element 'vertex', 1 of 3: 'nan' is not a coordinate: it must be finite and "
+                "no larger than 3.4e38."},
+        BadMesh{"index", ".ply", ply_head + "0 0 0\n1 0 0\n0 1 0\n3 0 1 3\n",
+                "line 13: element 'face', 0 of 1: there is no vertex 3; the file has 3, counted from "
+                "0."},
+        BadMesh{"obj_index", ".obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n",
+                "line 4: there is no vertex 4; the file has 3, counted from 1."}),
+    [](const auto& test) { return test.param.name; });
+
+struct BadConfig {
+  const char* name;
+  Arguments arguments;
+  const char* line;  ///< after "energyprof: "; CONFIG stands for the file
+};
+void PrintTo(const BadConfig& bad, std::ostream* out) { *out << bad.name; }
+
+class BadConfigs : public Program, public testing::WithParamInterface<BadConfig> {};
+
+TEST_P(BadConfigs, AreOneExactLineAndExitTwo) {
+  std::string line = GetParam().line;
+  if (const size_t at = line.find("CONFIG"); at != std::string::npos) line.replace(at, 6, config_);
+  const Output output = program(small_study(GetParam().arguments));
+  EXPECT_EQ(output.err, "energyprof: " + line + "\n");
+  EXPECT_EQ(output.code, 2);
+  EXPECT_THAT(output.out, IsEmpty());
+  EXPECT_FALSE(fs::exists(out()));
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Program, BadConfigs,
+    testing::Values(
+        BadConfig{"unknown_key", {"--set", "image.widht=7"},
+                  "CONFIG: /image: unknown key 'widht'; expected height, width"},
+        BadConfig{"unknown_top_key", {"--set", "modles=[]"},
+                  "CONFIG: /: unknown key 'modles'; expected algorithms, analysis, bounces, "
+                  "cooldown, frames, image, models, name, order, question, sampler, views"},
+        BadConfig{"wrong_type", {"--set", "image.width=big"},
+                  "CONFIG: /image/width: \"big\" is not allowed; expected an integer from 1 to 16384"},
+        BadConfig{"out_of_range", {"--set", "image.height=0"},
+                  "CONFIG: /image/height: 0 is not allowed; expected an integer from 1 to 16384"},
+        BadConfig{"unknown_algorithm", {"--set", "algorithms.0=BHV"},
+                  "CONFIG: /algorithms/0: \"BHV\" is not allowed; expected BVH_FTB_DF, BVH_FTB_BF, "
+                  "BVH_STACKLESS_DF, KD_TREE, KD_STACK, GRID"},
+        BadConfig{"algorithm_not_built", {"--set", "algorithms.0=GRID"},
+                  "CONFIG: /algorithms/0: 'GRID' is not built yet in this version; available: "
+                  "BVH_FTB_DF"},
+        BadConfig{"view_7", {"--set", "views=[7]"},
+                  "CONFIG: /views/0: 7 is not allowed; expected a view number 0, 1 or 2, or an "
+                  "object {phi, theta, distance, target}"},
+        BadConfig{"view_without_theta", {"--set", "views=[{\"phi\":1,\"distance\":2}]"},
+                  "CONFIG: /views/0: key 'theta' is missing"},
+        BadConfig{"unknown_model", {"--set", "models.0=dragoon"},
+                  "CONFIG: /models/0: 'dragoon' is not a model; expected teapot, bunny, dragon, "
+                  "teapot:N or a path to .ply, .ply.gz or .obj"},
+        BadConfig{"unknown_source", {"--set", "sampler.sources=[\"rapl\"]"},
+                  "CONFIG: /sampler/sources/0: 'rapl' is not a source; expected powercap, hwmon, "
+                  "thermal, cpufreq, proc_stat, psi, cgroup, perf"},
+        BadConfig{"no_models", {"--set", "models=[]"},
+                  "CONFIG: /models: [] is not allowed; expected a list of models"},
+        BadConfig{"pace", {"--set", "frames.pace=fast"},
+                  "CONFIG: /frames/pace: \"fast\" is not allowed; expected \"back-to-back\" or "
+                  "\"fps:N\", frames per second"},
+        BadConfig{"pace_zero", {"--set", "frames.pace=fps:0"},
+                  "CONFIG: /frames/pace: \"fps:0\" is not allowed; expected more than 0 frames per "
+                  "second"},
+        BadConfig{"setting_without_value", {"--set", "image"},
+                  "--set 'image': expected key.path=value, as in --set image.width=640"},
+        BadConfig{"setting_of_no_index", {"--set", "models.5=teapot"},
+                  "--set 'models.5=teapot': '5' is not an index below 1"}),
+    [](const auto& test) { return test.param.name; });
+
+TEST_F(Program, BadJsonNamesLineAndColumn) {
+  const std::string file = write("broken.json", "{\n  \"models\": [\"teapot\",\n}\n");
+  const Output output = program({"--config", file});
+  EXPECT_EQ(output.code, 2);
+  EXPECT_THAT(output.err, HasSubstr(file + ": not JSON: parse error at line 3, column 1"));
+  const std::string twice = write("twice.json", R"({"models": ["teapot"], "models": ["bunny"]})");
+  EXPECT_EQ(program({"--config", twice}).err, "energyprof: " + twice + ": key 'models' is given twice\n");
+}
+
+TEST_F(Program, MissingFilesAreNamed) {
+  EXPECT_EQ(program({"--config", "/nowhere/x.json"}).err,
+            "energyprof: cannot read config '/nowhere/x.json': there is no such file, and no shipped "
+            "config of that name.\n");
+  const Output mesh = program(small_study({"--set", "models.0=/nowhere/x.ply"}));
+  EXPECT_EQ(mesh.code, 1);
+  EXPECT_EQ(mesh.err, "energyprof: cannot read '/nowhere/x.ply': No such file or directory.\n");
+  EXPECT_EQ(program({"analyze", "/nowhere"}).err,
+            "energyprof: cannot read run '/nowhere': there is no such file. Give a run directory or "
+            "the run.sqlite inside it.\n");
+}
+
+TEST_F(Program, UnwritableOutIsNamed) {
+  const std::string file = write("a_file", "x");
+  const Output output = program({"--config", config_, "--out", file + "/run"});
+  EXPECT_EQ(output.code, 1);
+  EXPECT_EQ(output.err, "energyprof: cannot create run directory '" + file +
+                            "/run': Not a directory. Give another with --out.\n");
+}
+
+TEST_F(Program, AnotherRunIsNeverOverwritten) {
+  fs::create_directory(out());
+  std::ofstream(out() / "run.sqlite") << "precious";
+  const Output output = program(small_study());
+  EXPECT_EQ(output.code, 1);
+  EXPECT_EQ(output.err, "energyprof: cannot record to '" + out().string() +
+                            "': it already holds 'run.sqlite', and a run is never overwritten. Give "
+                            "another directory with --out.\n");
+  EXPECT_EQ(read_text(out() / "run.sqlite"), "precious");
+}
+
+TEST_F(Program, ARequiredQuantityThatIsMissingRefusesTheRun) {
+  const std::string root = ENERGYPROF_TEST_DATA "/sysfs/vm-no-sensors";
+  const Output output =
+      program(small_study({"--root", root, "--set", "sampler.require=[\"energy\"]"}));
+  EXPECT_EQ(output.code, 1);
+  EXPECT_THAT(output.err, HasSubstr("cannot run '" + config_ + "': it requires energy"));
+}
+
+// ---------------------------------------------------------------------------- other commands
+
+TEST_F(Program, EveryCommandHasHelpWithAnExample) {
+  for (const Arguments& arguments :
+       {Arguments{"--help"}, {"probe", "--help"}, {"analyze", "--help"}, {"export", "--help"},
+        {"models", "--help"}, {"models", "fetch", "--help"}}) {
+    const Output output = program(arguments);
+    EXPECT_EQ(output.code, 0);
+    EXPECT_THAT(output.out, HasSubstr("Example: energyprof ")) << arguments.front();
+  }
+  EXPECT_THAT(program({"--version"}).out, HasSubstr("energyprof "));
+}
+
+TEST_F(Program, WrongUsageIsExitTwo) {
+  EXPECT_EQ(program({}).code, 2);
+  EXPECT_EQ(program({"--bogus"}).code, 2);
+  EXPECT_EQ(program({"export", "x", "--format", "pdf"}).code, 2);
+  EXPECT_EQ(program({"models", "fetch", "suzanne"}).err,
+            "energyprof: models fetch: 'suzanne' is not a model; expected teapot, bunny, dragon\n");
+}
+
+TEST_F(Program, ProbeJsonHasTheContractsFields) {
+  const Output output =
+      program({"probe", "--json", "--root", ENERGYPROF_TEST_DATA "/sysfs/intel-rplp-i915-laptop"});
+  ASSERT_EQ(output.code, 0) << output.err;
+  const json probe = json::parse(output.out);
+  EXPECT_TRUE(probe["verdict"].is_string());
+  ASSERT_FALSE(probe["channels"].empty());
+  for (const json& channel : probe["channels"])
+    for (const char* key :
+         {"name", "source", "quantity", "unit", "kind", "value", "period_ns", "read_cost_ns", "origin"})
+      EXPECT_TRUE(channel.contains(key)) << channel;
+  for (const json& missing : probe["missing"])
+    for (const char* key : {"source", "reason", "fix"}) EXPECT_TRUE(missing.contains(key)) << missing;
+}
+
+TEST_F(Program, ShippedConfigsAreFoundByName) {
+  // From any directory: the program looks beside itself. The wrong device keeps it short.
+  const Output output = program({"--config", "dragon.json", "--set", "algorithms=[]"});
+  EXPECT_THAT(output.err, HasSubstr("dragon.json: /algorithms"));
+}
+
+}  // namespace
+}  // namespace energyprof
