@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <exception>
 #include <functional>
+#include <new>
 
 #include "app/commands.h"
 #include "app/usage_error.h"
@@ -154,6 +155,9 @@ int main(int argc, char** argv) {
     return CommandLine().run(argc, argv);
   } catch (const UsageError& error) {
     return fail(error.what(), exit_usage);
+  } catch (const std::bad_alloc&) {
+    return fail("cannot go on: the machine is out of memory. Try a smaller model or image.",
+                exit_failed);
   } catch (const std::exception& error) {
     return fail(error.what(), exit_failed);
   }

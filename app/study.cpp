@@ -146,7 +146,12 @@ class Study {
 
   void load_scenes() {
     for (const std::string& model : config_.models) {
-      scenes_.push_back(load_scene(model, [this](std::string_view text) { note(text); }));
+      Scene scene = load_scene(model, [this](std::string_view text) { note(text); });
+      // Two files of the same name in different folders are told apart by their paths.
+      if (std::any_of(scenes_.begin(), scenes_.end(),
+                      [&](const Scene& other) { return other.model == scene.model; }))
+        scene.model = model;
+      scenes_.push_back(std::move(scene));
       for (const ViewChoice& view : config_.views) resolve_view(scenes_.back(), view);
     }
   }
@@ -213,14 +218,22 @@ class Study {
     result_.interrupted = InterruptGuard::requested();
   }
 
+  /// The model's own views keep their numbers, those of the config are counted on from there.
+  [[nodiscard]] int64_t view_number(size_t index) const {
+    if (const int* own = std::get_if<int>(&config_.views[index])) return *own;
+    int64_t number = 3;
+    for (size_t i = 0; i < index; ++i)
+      if (std::holds_alternative<ViewConfig>(config_.views[i])) ++number;
+    return number;
+  }
+
   void run_trial(const PlannedTrial& planned, size_t position, size_t trial_count) {
     const Scene& scene = scenes_[planned.model];
     const std::string& algorithm = config_.algorithms[planned.algorithm];
     Trial trial;
     trial.id = static_cast<int64_t>(position) + 1;
     trial.model = scene.model;
-    trial.view = static_cast<int64_t>(planned.view);
-    if (const int* own = std::get_if<int>(&config_.views[planned.view])) trial.view = *own;
+    trial.view = view_number(planned.view);
     trial.algorithm = algorithm;
     trial.repetition = planned.repetition;
     trial.position = static_cast<int64_t>(position);

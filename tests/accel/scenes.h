@@ -67,17 +67,18 @@ inline std::vector<NamedMesh> ugly_scenes() {
   }
   accel::Mesh slivers = triangle_soup(500, 0.5f, 7);
   for (glm::vec3& position : slivers.positions) position.z *= 1e-5f;
-  return {{"nothing", {}},
-          {"one triangle", one},
-          {"fifty times the same", duplicates},
-          {"teapot", accel::make_teapot()},
-          {"small soup", triangle_soup(2000, 0.05f, 11)},
-          {"large soup", triangle_soup(300, 1.0f, 13)},
-          {"slivers", slivers},
-          {"flat", flat_square(20)},
-          {"tiny", transformed(triangle_soup(500, 0.1f, 17), 1e-6f, glm::vec3(0.0f))},
-          {"huge", transformed(triangle_soup(500, 0.1f, 19), 1e6f, glm::vec3(0.0f))},
-          {"far away", transformed(triangle_soup(500, 0.5f, 23), 10.0f, glm::vec3(1e6f, 0.0f, -1e6f))}};
+  return {
+      {"nothing", {}},
+      {"one triangle", one},
+      {"fifty times the same", duplicates},
+      {"teapot", accel::make_teapot()},
+      {"small soup", triangle_soup(2000, 0.05f, 11)},
+      {"large soup", triangle_soup(300, 1.0f, 13)},
+      {"slivers", slivers},
+      {"flat", flat_square(20)},
+      {"tiny", transformed(triangle_soup(500, 0.1f, 17), 1e-6f, glm::vec3(0.0f))},
+      {"huge", transformed(triangle_soup(500, 0.1f, 19), 1e6f, glm::vec3(0.0f))},
+      {"far away", transformed(triangle_soup(500, 0.5f, 23), 10.0f, glm::vec3(1e6f, 0.0f, -1e6f))}};
 }
 
 /// A camera outside of `mesh` that looks at its middle.

@@ -8,7 +8,9 @@
 namespace energyprof::app {
 namespace {
 
-std::string shipped(const std::string& name) { return std::string(ENERGYPROF_CONFIGS) + "/" + name; }
+std::string shipped(const std::string& name) {
+  return std::string(ENERGYPROF_CONFIGS) + "/" + name;
+}
 
 TEST(Config, ShippedOnesAreThePapersStudy) {
   for (const std::string name : {"teapot", "bunny", "dragon", "paper"}) {
@@ -28,9 +30,9 @@ TEST(Config, ShippedOnesAreThePapersStudy) {
 
 TEST(Config, SettingsChangeOneKeyEach) {
   const Config config = load_config(
-      shipped("teapot.json"),
-      {"image.width=640", "models.0=teapot:3", "frames.pace=fps:59.94", "views=[2,{\"phi\":1,\"theta\":2,\"distance\":3}]",
-       "sampler.sources=[\"psi\"]", "order.design=sequential"});
+      shipped("teapot.json"), {"image.width=640", "models.0=teapot:3", "frames.pace=fps:59.94",
+                               "views=[2,{\"phi\":1,\"theta\":2,\"distance\":3}]",
+                               "sampler.sources=[\"psi\"]", "order.design=sequential"});
   EXPECT_EQ(config.width, 640u);
   EXPECT_EQ(config.models, std::vector<std::string>{"teapot:3"});
   EXPECT_DOUBLE_EQ(config.frames_per_second.value(), 59.94);
@@ -57,14 +59,16 @@ TEST(Config, QuickCapsAndSaysWhat) {
   EXPECT_EQ(config.timed_frames, 16);
   EXPECT_NE(note.find("image 90x180 instead of 1000x2000"), std::string::npos) << note;
   EXPECT_EQ(config.json["frames"]["timed"], 16);
-  Config small = load_config(shipped("teapot.json"), {"image={\"width\":10,\"height\":10}", "frames.timed=3",
-                                                      "frames.warmup=0", "cooldown.max_s=0"});
+  Config small =
+      load_config(shipped("teapot.json"), {"image={\"width\":10,\"height\":10}", "frames.timed=3",
+                                           "frames.warmup=0", "cooldown.max_s=0"});
   EXPECT_EQ(apply_quick(small), "");
 }
 
 TEST(Config, MistakesAreUsageErrors) {
   EXPECT_THROW(load_config(shipped("teapot.json"), {"bounces=2"}), UsageError);
-  EXPECT_THROW(load_config(shipped("teapot.json"), {"algorithms=[\"BVH_FTB_DF\",\"BVH_FTB_DF\"]"}), UsageError);
+  EXPECT_THROW(load_config(shipped("teapot.json"), {"algorithms=[\"BVH_FTB_DF\",\"BVH_FTB_DF\"]"}),
+               UsageError);
   EXPECT_THROW(load_config(shipped("teapot.json"), {"name=a/b"}), UsageError);
   EXPECT_THROW(load_config("/no/such/file.json", {}), std::runtime_error);
 }

@@ -13,7 +13,8 @@ namespace {
 TEST(Scene, IsScaledByAPowerOfTwoIntoOneToTwo) {
   const Scene scene = load_scene("teapot", [](std::string_view) {});
   const accel::Bounds box = accel::bounds(scene.mesh);
-  const float extent = std::max({box.max.x - box.min.x, box.max.y - box.min.y, box.max.z - box.min.z});
+  const float extent =
+      std::max({box.max.x - box.min.x, box.max.y - box.min.y, box.max.z - box.min.z});
   EXPECT_GE(extent, 1.0f);
   EXPECT_LT(extent, 2.0f);
   int exponent = 0;
@@ -31,14 +32,16 @@ TEST(Scene, CameraLooksAtTheTargetFromTheOrbit) {
   EXPECT_NEAR(glm::dot(glm::normalize(to_target), glm::vec3(c.forward)), 1.0, 1e-6);
   EXPECT_GT(c.up.y, 0.0f);
   EXPECT_NEAR(glm::length(glm::vec3(c.up)), std::tan(22.5 * 3.14159265358979 / 180.0), 1e-6);
-  EXPECT_NEAR(glm::length(glm::vec3(c.right_tmax)) / glm::length(glm::vec3(c.up)), 1280.0 / 720.0, 1e-5);
+  EXPECT_NEAR(glm::length(glm::vec3(c.right_tmax)) / glm::length(glm::vec3(c.up)), 1280.0 / 720.0,
+              1e-5);
   EXPECT_NEAR(glm::dot(glm::vec3(c.right_tmax), glm::vec3(c.up)), 0.0, 1e-6);
   EXPECT_FLOAT_EQ(c.origin_tmin.w, 1e-4f * 0.25f);
 }
 
 TEST(Scene, LookingStraightDownHasARightAndAnUp) {
   const gpu::FrameConstants c = frame_constants(Scene{}, {0.0, 0.0, 2.0, {}}, 4, 4, 0, 1);
-  EXPECT_NEAR(glm::length(glm::vec3(c.right_tmax)), std::tan(22.5 * 3.14159265358979 / 180.0), 1e-6);
+  EXPECT_NEAR(glm::length(glm::vec3(c.right_tmax)), std::tan(22.5 * 3.14159265358979 / 180.0),
+              1e-6);
   EXPECT_TRUE(std::isfinite(c.up.x + c.up.y + c.up.z));
 }
 

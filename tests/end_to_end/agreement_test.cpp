@@ -75,7 +75,8 @@ INSTANTIATE_TEST_SUITE_P(UglyScenes, Agreement, testing::ValuesIn(test::ugly_sce
 
 TEST(Agreement, OnTheDragon) {
   const accel::ModelInfo& info = *accel::find_model("dragon");
-  if (!accel::is_available(info)) GTEST_SKIP() << "the dragon is not fetched: energyprof models fetch dragon";
+  if (!accel::is_available(info))
+    GTEST_SKIP() << "the dragon is not fetched: energyprof models fetch dragon";
   const accel::LoadedModel dragon = accel::load_model("dragon", [](std::string_view) {});
   ASSERT_EQ(dragon.mesh.positions.size(), 435'545u);
   ASSERT_EQ(dragon.mesh.triangles.size(), 871'306u);

@@ -64,7 +64,8 @@ class Process {
       redirect(logs_ / "out", STDOUT_FILENO);
       redirect(logs_ / "err", STDERR_FILENO);
       std::vector<char*> argv;
-      for (const std::string& argument : command) argv.push_back(const_cast<char*>(argument.c_str()));
+      for (const std::string& argument : command)
+        argv.push_back(const_cast<char*>(argument.c_str()));
       argv.push_back(nullptr);
       execvp(argv[0], argv.data());
       _exit(127);

@@ -31,7 +31,9 @@ class Program : public testing::Test {
     arguments.insert(arguments.begin(), ENERGYPROF_PROGRAM);
     return arguments;
   }
-  static Output program(const Arguments& arguments, const Environment& env = {}) {
+  /// Runs the program with Vulkan validation, whose messages fail it, unless `env` says otherwise.
+  static Output program(const Arguments& arguments, Environment env = {}) {
+    env.insert({"ENERGYPROF_VALIDATION", "1"});
     return test::run(command(arguments), env);
   }
 
@@ -155,11 +157,12 @@ TEST_F(Tracing, AFixtureMachineIsMarkedSimulated) {
 TEST_F(Tracing, TheReportOpensInABrowserWithoutAnError) {
   if (test::run({"chromium", "--version"}).code != 0) GTEST_SKIP() << "chromium is not installed";
   ASSERT_EQ(program(small_study({"--quiet"})).code, 0);
-  const Output page = test::run(
-      {"timeout", "60", "chromium", "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
-       "--no-first-run", "--disable-background-networking", "--disable-component-update",
-       "--disable-sync", "--user-data-dir=" + (dir_ / "browser").string(), "--enable-logging=stderr",
-       "--virtual-time-budget=5000", "--dump-dom", "file://" + (out() / "report.html").string()});
+  const Output page = test::run({"timeout", "60", "chromium", "--headless", "--no-sandbox",
+                                 "--disable-gpu", "--disable-quic", "--no-first-run",
+                                 "--disable-background-networking", "--disable-component-update",
+                                 "--disable-sync", "--user-data-dir=" + (dir_ / "browser").string(),
+                                 "--enable-logging=stderr", "--virtual-time-budget=5000",
+                                 "--dump-dom", "file://" + (out() / "report.html").string()});
   ASSERT_EQ(page.code, 0) << page.err;
   EXPECT_THAT(page.err, Not(HasSubstr("CONSOLE")));
   EXPECT_THAT(page.out, HasSubstr("<canvas"));  // the charts were drawn
@@ -178,27 +181,51 @@ TEST_F(Tracing, AnalyzeGivesTheSameNumbersAgain) {
 
 TEST_F(Tracing, ExportsCsvAndTimeline) {
   ASSERT_EQ(program(small_study({"--quiet"})).code, 0);
-  ASSERT_EQ(program({"export", out().string(), "--format", "csv", "--out", (dir_ / "csv").string()}).code, 0);
+  ASSERT_EQ(
+      program({"export", out().string(), "--format", "csv", "--out", (dir_ / "csv").string()}).code,
+      0);
   const std::string frames = read_text(dir_ / "csv/frames.csv");
   EXPECT_EQ(std::count(frames.begin(), frames.end(), '\n'), 1 + 30);
   EXPECT_GT(fs::file_size(dir_ / "csv/samples.csv"), 100u);
   const std::string timeline = (dir_ / "t.json").string();
-  ASSERT_EQ(program({"export", out().string(), "--format", "timeline", "--full", "--out", timeline}).code, 0);
+  ASSERT_EQ(
+      program({"export", out().string(), "--format", "timeline", "--full", "--out", timeline}).code,
+      0);
   EXPECT_FALSE(read_json(timeline)["traceEvents"].empty());
 }
 
 TEST_F(Tracing, PaceSpreadsTheFrames) {
-  ASSERT_EQ(program(small_study({"--quiet", "--set", "frames.pace=fps:50", "--set", "views=[0]"})).code, 0);
+  ASSERT_EQ(
+      program(small_study({"--quiet", "--set", "frames.pace=fps:50", "--set", "views=[0]"})).code,
+      0);
   const RunRecord run = read_run(out());
   ASSERT_EQ(run.frames.size(), 10u);
   // Nine gaps of 20 ms: no frame may come early, so at least 170 ms pass.
   EXPECT_GE(run.frames.back().submit_ns - run.frames.front().submit_ns, 170'000'000);
 }
 
-TEST_F(Tracing, EmptyViewsOfAUserWork) {
+TEST_F(Tracing, ViewsOfTheConfigAreCountedBehindTheModelsOwn) {
   const Output output = program(small_study(
-      {"--set", R"(views=[{"phi":0,"theta":0,"distance":9},{"phi":1.5,"theta":3,"distance":8,"target":[0,1,0]}])"}));
-  EXPECT_EQ(output.code, 0) << output.err;  // straight down is a view like any other
+      {"--set",
+       R"(views=[1,{"phi":0,"theta":0,"distance":9},{"phi":1.5,"theta":3,"distance":8,"target":[0,1,0]}])"}));
+  ASSERT_EQ(output.code, 0) << output.err;  // straight down is a view like any other
+  std::vector<int64_t> views;
+  for (const Trial& trial : read_run(out()).trials) views.push_back(trial.view);
+  EXPECT_THAT(views, testing::UnorderedElementsAre(1, 3, 4));
+}
+
+TEST_F(Tracing, TwoFilesOfOneNameAreTwoModels) {
+  const std::string obj = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+  fs::create_directory(dir_ / "a");
+  fs::create_directory(dir_ / "b");
+  const std::string a = write("a/m.obj", obj);
+  const std::string b = write("b/m.obj", obj + "v 0 0 1\nf 1 2 4\n");
+  const Output output = program(
+      small_study({"--set", R"(models=[")" + a + R"(",")" + b + R"("])", "--set", "views=[0]"}));
+  ASSERT_EQ(output.code, 0) << output.err;
+  const json report = read_json(out() / "report.json");
+  ASSERT_EQ(report["cells"].size(), 2u);
+  EXPECT_NE(report["cells"][0]["model"], report["cells"][1]["model"]);
 }
 
 // ---------------------------------------------------------------------------- the end of a run
@@ -262,9 +289,9 @@ TEST_F(Ending, FullDiskIsOneLineAndKeepsWhatWasRecorded) {
   if (output.code == 99 || output.err.find("unshare") != std::string::npos)
     GTEST_SKIP() << "needs root to mount a small disk: " << output.err;
   EXPECT_EQ(output.code, 1);
-  EXPECT_THAT(output.err, HasSubstr("energyprof: cannot record to '" +
-                                    (dir_ / "disk/run/run.sqlite").string() +
-                                    "': database or disk is full."));
+  EXPECT_THAT(output.err,
+              HasSubstr("energyprof: cannot record to '" + (dir_ / "disk/run/run.sqlite").string() +
+                        "': database or disk is full."));
   EXPECT_THAT(output.err, HasSubstr("What was recorded until then is readable."));
   EXPECT_THAT(output.err, HasSubstr("\n1\n"));
 }
@@ -310,11 +337,12 @@ TEST_F(Tracing, WithoutCalibratedTimestampsTheMetaSaysSo) {
 }
 
 TEST_F(Tracing, ABufferTooLargeForTheDeviceIsRefusedByNumber) {
-  const Output output =
-      program(small_study({"--set", "models.0=teapot:40"}), fault("small-range"));
+  const Output output = program(small_study({"--set", "models.0=teapot:40"}), fault("small-range"));
   EXPECT_EQ(output.code, 1);
-  EXPECT_THAT(output.err, HasSubstr("energyprof: no trial could be traced: no Vulkan device fits: "));
-  EXPECT_THAT(output.err, EndsWith("maxStorageBufferRange is 1 MiB, the node buffer needs 6.24 MiB.\n"));
+  EXPECT_THAT(output.err,
+              HasSubstr("energyprof: no trial could be traced: no Vulkan device fits: "));
+  EXPECT_THAT(output.err,
+              EndsWith("maxStorageBufferRange is 1 MiB, the node buffer needs 6.24 MiB.\n"));
 }
 
 TEST_F(Program, NoDeviceIsOneLine) {
@@ -373,19 +401,23 @@ INSTANTIATE_TEST_SUITE_P(
         BadMesh{"empty", ".ply", "", "it is empty."},
         BadMesh{"garbage", ".ply", "\x01\x02\xff\xfe garbage",
                 "line 1: a PLY file begins with 'ply', not with '\\x01\\x02\\xff\\xfe garbage'."},
-        BadMesh{"truncated", ".ply", ply_head + "0 0 0\n1 0 0\n",
-                "its header promises 3 'vertex' elements, of 6 bytes or more each, and 13 bytes are "
-                "left; the file is cut off or its header is wrong."},
-        BadMesh{"huge_count", ".ply",
-                "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\n"
-                "property float y\nproperty float z\nend_header\n",
-                "line 3: 4000000000 vertex elements are too many; at most 2147483646 fit."},
-        BadMesh{"nan", ".ply", ply_head + "0 0 0\n1 nan 0\n0 1 0\n3 0 1 2\n",
-                "line 11: element 'vertex', 1 of 3: 'nan' is not a coordinate: it must be finite and "
-                "no larger than 3.4e38."},
-        BadMesh{"index", ".ply", ply_head + "0 0 0\n1 0 0\n0 1 0\n3 0 1 3\n",
-                "line 13: element 'face', 0 of 1: there is no vertex 3; the file has 3, counted from "
-                "0."},
+        BadMesh{
+            "truncated", ".ply", ply_head + "0 0 0\n1 0 0\n",
+            "its header promises 3 'vertex' elements, of 6 bytes or more each, and 13 bytes are "
+            "left; the file is cut off or its header is wrong."},
+        BadMesh{
+            "huge_count", ".ply",
+            "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\n"
+            "property float y\nproperty float z\nend_header\n",
+            "line 3: 4000000000 vertex elements are too many; at most 2147483646 fit."},
+        BadMesh{
+            "nan", ".ply", ply_head + "0 0 0\n1 nan 0\n0 1 0\n3 0 1 2\n",
+            "line 11: element 'vertex', 1 of 3: 'nan' is not a coordinate: it must be finite and "
+            "no larger than 3.4e38."},
+        BadMesh{
+            "index", ".ply", ply_head + "0 0 0\n1 0 0\n0 1 0\n3 0 1 3\n",
+            "line 13: element 'face', 0 of 1: there is no vertex 3; the file has 3, counted from "
+            "0."},
         BadMesh{"obj_index", ".obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n",
                 "line 4: there is no vertex 4; the file has 3, counted from 1."}),
     [](const auto& test) { return test.param.name; });
@@ -412,43 +444,59 @@ TEST_P(BadConfigs, AreOneExactLineAndExitTwo) {
 INSTANTIATE_TEST_SUITE_P(
     Program, BadConfigs,
     testing::Values(
-        BadConfig{"unknown_key", {"--set", "image.widht=7"},
+        BadConfig{"unknown_key",
+                  {"--set", "image.widht=7"},
                   "CONFIG: /image: unknown key 'widht'; expected height, width"},
-        BadConfig{"unknown_top_key", {"--set", "modles=[]"},
+        BadConfig{"unknown_top_key",
+                  {"--set", "modles=[]"},
                   "CONFIG: /: unknown key 'modles'; expected algorithms, analysis, bounces, "
                   "cooldown, frames, image, models, name, order, question, sampler, views"},
-        BadConfig{"wrong_type", {"--set", "image.width=big"},
-                  "CONFIG: /image/width: \"big\" is not allowed; expected an integer from 1 to 16384"},
-        BadConfig{"out_of_range", {"--set", "image.height=0"},
+        BadConfig{
+            "wrong_type",
+            {"--set", "image.width=big"},
+            "CONFIG: /image/width: \"big\" is not allowed; expected an integer from 1 to 16384"},
+        BadConfig{"out_of_range",
+                  {"--set", "image.height=0"},
                   "CONFIG: /image/height: 0 is not allowed; expected an integer from 1 to 16384"},
-        BadConfig{"unknown_algorithm", {"--set", "algorithms.0=BHV"},
+        BadConfig{"unknown_algorithm",
+                  {"--set", "algorithms.0=BHV"},
                   "CONFIG: /algorithms/0: \"BHV\" is not allowed; expected BVH_FTB_DF, BVH_FTB_BF, "
                   "BVH_STACKLESS_DF, KD_TREE, KD_STACK, GRID"},
-        BadConfig{"algorithm_not_built", {"--set", "algorithms.0=GRID"},
+        BadConfig{"algorithm_not_built",
+                  {"--set", "algorithms.0=GRID"},
                   "CONFIG: /algorithms/0: 'GRID' is not built yet in this version; available: "
                   "BVH_FTB_DF"},
-        BadConfig{"view_7", {"--set", "views=[7]"},
+        BadConfig{"view_7",
+                  {"--set", "views=[7]"},
                   "CONFIG: /views/0: 7 is not allowed; expected a view number 0, 1 or 2, or an "
                   "object {phi, theta, distance, target}"},
-        BadConfig{"view_without_theta", {"--set", "views=[{\"phi\":1,\"distance\":2}]"},
+        BadConfig{"view_without_theta",
+                  {"--set", "views=[{\"phi\":1,\"distance\":2}]"},
                   "CONFIG: /views/0: key 'theta' is missing"},
-        BadConfig{"unknown_model", {"--set", "models.0=dragoon"},
+        BadConfig{"unknown_model",
+                  {"--set", "models.0=dragoon"},
                   "CONFIG: /models/0: 'dragoon' is not a model; expected teapot, bunny, dragon, "
                   "teapot:N or a path to .ply, .ply.gz or .obj"},
-        BadConfig{"unknown_source", {"--set", "sampler.sources=[\"rapl\"]"},
+        BadConfig{"unknown_source",
+                  {"--set", "sampler.sources=[\"rapl\"]"},
                   "CONFIG: /sampler/sources/0: 'rapl' is not a source; expected powercap, hwmon, "
                   "thermal, cpufreq, proc_stat, psi, cgroup, perf"},
-        BadConfig{"no_models", {"--set", "models=[]"},
-                  "CONFIG: /models: [] is not allowed; expected a list of models"},
-        BadConfig{"pace", {"--set", "frames.pace=fast"},
+        BadConfig{"no_models",
+                  {"--set", "models=[]"},
+                  "CONFIG: /models: [] is not allowed; expected a list of different models"},
+        BadConfig{"pace",
+                  {"--set", "frames.pace=fast"},
                   "CONFIG: /frames/pace: \"fast\" is not allowed; expected \"back-to-back\" or "
                   "\"fps:N\", frames per second"},
-        BadConfig{"pace_zero", {"--set", "frames.pace=fps:0"},
+        BadConfig{"pace_zero",
+                  {"--set", "frames.pace=fps:0"},
                   "CONFIG: /frames/pace: \"fps:0\" is not allowed; expected more than 0 frames per "
                   "second"},
-        BadConfig{"setting_without_value", {"--set", "image"},
+        BadConfig{"setting_without_value",
+                  {"--set", "image"},
                   "--set 'image': expected key.path=value, as in --set image.width=640"},
-        BadConfig{"setting_of_no_index", {"--set", "models.5=teapot"},
+        BadConfig{"setting_of_no_index",
+                  {"--set", "models.5=teapot"},
                   "--set 'models.5=teapot': '5' is not an index below 1"}),
     [](const auto& test) { return test.param.name; });
 
@@ -458,19 +506,22 @@ TEST_F(Program, BadJsonNamesLineAndColumn) {
   EXPECT_EQ(output.code, 2);
   EXPECT_THAT(output.err, HasSubstr(file + ": not JSON: parse error at line 3, column 1"));
   const std::string twice = write("twice.json", R"({"models": ["teapot"], "models": ["bunny"]})");
-  EXPECT_EQ(program({"--config", twice}).err, "energyprof: " + twice + ": key 'models' is given twice\n");
+  EXPECT_EQ(program({"--config", twice}).err,
+            "energyprof: " + twice + ": key 'models' is given twice\n");
 }
 
 TEST_F(Program, MissingFilesAreNamed) {
-  EXPECT_EQ(program({"--config", "/nowhere/x.json"}).err,
-            "energyprof: cannot read config '/nowhere/x.json': there is no such file, and no shipped "
-            "config of that name.\n");
+  EXPECT_EQ(
+      program({"--config", "/nowhere/x.json"}).err,
+      "energyprof: cannot read config '/nowhere/x.json': there is no such file, and no shipped "
+      "config of that name.\n");
   const Output mesh = program(small_study({"--set", "models.0=/nowhere/x.ply"}));
   EXPECT_EQ(mesh.code, 1);
   EXPECT_EQ(mesh.err, "energyprof: cannot read '/nowhere/x.ply': No such file or directory.\n");
-  EXPECT_EQ(program({"analyze", "/nowhere"}).err,
-            "energyprof: cannot read run '/nowhere': there is no such file. Give a run directory or "
-            "the run.sqlite inside it.\n");
+  EXPECT_EQ(
+      program({"analyze", "/nowhere"}).err,
+      "energyprof: cannot read run '/nowhere': there is no such file. Give a run directory or "
+      "the run.sqlite inside it.\n");
 }
 
 TEST_F(Program, UnwritableOutIsNamed) {
@@ -486,9 +537,10 @@ TEST_F(Program, AnotherRunIsNeverOverwritten) {
   std::ofstream(out() / "run.sqlite") << "precious";
   const Output output = program(small_study());
   EXPECT_EQ(output.code, 1);
-  EXPECT_EQ(output.err, "energyprof: cannot record to '" + out().string() +
-                            "': it already holds 'run.sqlite', and a run is never overwritten. Give "
-                            "another directory with --out.\n");
+  EXPECT_EQ(output.err,
+            "energyprof: cannot record to '" + out().string() +
+                "': it already holds 'run.sqlite', and a run is never overwritten. Give "
+                "another directory with --out.\n");
   EXPECT_EQ(read_text(out() / "run.sqlite"), "precious");
 }
 
@@ -503,9 +555,12 @@ TEST_F(Program, ARequiredQuantityThatIsMissingRefusesTheRun) {
 // ---------------------------------------------------------------------------- other commands
 
 TEST_F(Program, EveryCommandHasHelpWithAnExample) {
-  for (const Arguments& arguments :
-       {Arguments{"--help"}, {"probe", "--help"}, {"analyze", "--help"}, {"export", "--help"},
-        {"models", "--help"}, {"models", "fetch", "--help"}}) {
+  for (const Arguments& arguments : {Arguments{"--help"},
+                                     {"probe", "--help"},
+                                     {"analyze", "--help"},
+                                     {"export", "--help"},
+                                     {"models", "--help"},
+                                     {"models", "fetch", "--help"}}) {
     const Output output = program(arguments);
     EXPECT_EQ(output.code, 0);
     EXPECT_THAT(output.out, HasSubstr("Example: energyprof ")) << arguments.front();
@@ -529,11 +584,12 @@ TEST_F(Program, ProbeJsonHasTheContractsFields) {
   EXPECT_TRUE(probe["verdict"].is_string());
   ASSERT_FALSE(probe["channels"].empty());
   for (const json& channel : probe["channels"])
-    for (const char* key :
-         {"name", "source", "quantity", "unit", "kind", "value", "period_ns", "read_cost_ns", "origin"})
+    for (const char* key : {"name", "source", "quantity", "unit", "kind", "value", "period_ns",
+                            "read_cost_ns", "origin"})
       EXPECT_TRUE(channel.contains(key)) << channel;
   for (const json& missing : probe["missing"])
-    for (const char* key : {"source", "reason", "fix"}) EXPECT_TRUE(missing.contains(key)) << missing;
+    for (const char* key : {"source", "reason", "fix"})
+      EXPECT_TRUE(missing.contains(key)) << missing;
 }
 
 TEST_F(Program, ShippedConfigsAreFoundByName) {

@@ -2,6 +2,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cstdlib>
+
 #include "core/clock.h"
 #include "core/trace_math.h"
 #include "kernels/kernel_list.h"
@@ -71,6 +73,12 @@ class Trace : public testing::Test {
 
   std::optional<ValidatedDevice> device_;
 };
+
+TEST_F(Trace, RunsWithTheSubgroupsThatWereAskedFor) {
+  const char* width = std::getenv("LP_NATIVE_VECTOR_WIDTH");
+  if (width == nullptr || !is_cpu()) GTEST_SKIP() << "LP_NATIVE_VECTOR_WIDTH asks for none";
+  EXPECT_EQ(device().info().subgroup_size, std::stoul(width) / 32);
+}
 
 TEST_F(Trace, OneTriangleIsHitWhereItIs) {
   // It covers the lower left half of the image: x and y from -1 to 1, one unit away.
