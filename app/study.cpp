@@ -14,6 +14,7 @@
 #include <thread>
 
 #include "accel/validate.h"
+#include "analysis/stats.h"
 #include "app/algorithms.h"
 #include "app/host.h"
 #include "app/interrupt.h"
@@ -62,12 +63,6 @@ std::string file_name_part(std::string_view text) {
   for (const char c : text)
     name += std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '.' || c == '-' ? c : '_';
   return name;
-}
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 /// Averages frames into a picture: a miss is white, each hit halves the light.
@@ -312,7 +307,7 @@ class Study {
       check_recording();
     }
     if (images_.insert({planned.model, planned.view}).second) write_reference(program, trial);
-    return fmt::format("{} frames, median {:.2f} ms", timed_ms.size(), median(timed_ms));
+    return fmt::format("{} frames, median {:.2f} ms", timed_ms.size(), analysis::median(timed_ms));
   }
 
   /// Waits for the next frame's turn; returns the turn after it.
