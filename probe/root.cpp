@@ -73,7 +73,7 @@ std::optional<std::string> link_text(const std::string& host_path, off_t byte_co
 
 std::string errno_text(int error) { return std::generic_category().message(error); }
 
-Root::Root(const std::string& directory, std::map<std::string, int> read_errors) {
+Root::Root(const std::string& directory, const std::map<std::string, int>& read_errors) {
   const std::unique_ptr<char, decltype(&std::free)> canonical(realpath(directory.c_str(), nullptr),
                                                               &std::free);
   struct stat info {};

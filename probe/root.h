@@ -20,7 +20,8 @@ class Root {
  public:
   /// `read_errors`: errno by path; reads of these files fail with it. For tests, since a plain
   /// file cannot be made to fail like a sensor. Throws std::runtime_error if `directory` is none.
-  explicit Root(const std::string& directory = "/", std::map<std::string, int> read_errors = {});
+  explicit Root(const std::string& directory = "/",
+                const std::map<std::string, int>& read_errors = {});
 
   /// Whether this is the machine itself and not a copy or container below a directory.
   [[nodiscard]] bool is_host() const { return directory_.empty(); }

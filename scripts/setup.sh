@@ -4,7 +4,8 @@
 #   setup_packages run|test    Debian packages; asks for root (or sudo) only when one is missing
 #   setup_build PRESET         configures once, then builds what has changed
 
-readonly root_dir=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+root_dir=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+readonly root_dir
 
 run_packages=(
   g++ cmake ninja-build git glslang-tools

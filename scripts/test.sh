@@ -3,8 +3,9 @@
 #   scripts/test.sh [--preset test|ci|dev] [arguments for ctest]
 # test: Release.  ci: Release, warnings are errors.  dev: Debug with ASan and UBSan.
 set -euo pipefail
+# shellcheck source=scripts/setup.sh
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
-preset=test
+preset="test"
 if [ "${1:-}" = --preset ]; then
   preset=${2:?--preset needs a name: test, ci or dev}
   shift 2
@@ -12,5 +13,5 @@ fi
 setup_packages test
 setup_build "$preset"
 # Tests on the dragon need it; without a network they are skipped and say so.
-"$root_dir/build/$preset/app/energyprof" models fetch dragon >&2 || true
+"${root_dir:?}/build/$preset/app/energyprof" models fetch dragon >&2 || true
 exec ctest --test-dir "$root_dir/build/$preset" --output-on-failure "$@"
