@@ -8,7 +8,7 @@ root_dir=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 readonly root_dir
 
 run_packages=(
-  g++ cmake ninja-build git glslang-tools
+  g++ cmake ninja-build git glslang-tools curl ca-certificates
   libvulkan-dev mesa-vulkan-drivers
   libglm-dev libfmt-dev nlohmann-json3-dev libsqlite3-dev libcli11-dev libvalijson-dev
   libboost-dev libtbb-dev libdeflate-dev libpng-dev libssl-dev libpfm4-dev
