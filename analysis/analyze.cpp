@@ -412,7 +412,7 @@ SensorSummary summarize(const Channel& channel, const SampleSeries* series, bool
     sensor.median = median(series->value);
     sensor.max = *high;
   }
-  if (channel.kind == Kind::cumulative && sensor.sample_count > 1) {
+  if (channel.kind == Kind::cumulative && series != nullptr && sensor.sample_count > 1) {
     const Unwrapped total = unwrap(series->value, channel.wrap_at);
     sensor.increase = total.value.back();
     if (total.reset_count > 0)

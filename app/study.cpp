@@ -306,7 +306,7 @@ class Study {
       progress_->frame_done();
       check_recording();
     }
-    if (images_.insert({planned.model, planned.view}).second) write_reference(program, trial);
+    if (images_.insert({planned.model, planned.view}).second) picture(program, trial);
     return fmt::format("{} frames, median {:.2f} ms", timed_ms.size(), analysis::median(timed_ms));
   }
 
@@ -318,6 +318,20 @@ class Study {
     // After a late frame the rhythm starts anew: no burst to catch up.
     return std::max(turn_ns, now) +
            static_cast<int64_t>(static_cast<double>(ns_per_s) / *config_.frames_per_second);
+  }
+
+  /// The view's picture. A picture that cannot be written costs an event, not the trial.
+  void picture(kernels::TraceProgram& program, const Trial& trial) {
+    try {
+      write_reference(program, trial);
+    } catch (const kernels::DeviceLost&) {
+      throw;
+    } catch (const kernels::OutOfMemory&) {
+      throw;
+    } catch (const std::runtime_error& error) {
+      writer_->add_event(
+          {now_ns(), std::nullopt, Severity::warning, "image", std::nullopt, error.what()});
+    }
   }
 
   void write_reference(kernels::TraceProgram& program, const Trial& trial) {

@@ -165,27 +165,35 @@ struct RunWriter::Impl {
     thread = std::thread([this] { write_until_closed(); });
   }
 
+  /// The empty run under its final name: made beside it and renamed, so that a run that exists has
+  /// all its tables, whenever the process is killed.
   static Database open_new(const std::filesystem::path& file) {
     if (std::filesystem::exists(file))
       throw std::runtime_error(
           fmt::format("cannot record to '{}': it exists already and a run is never overwritten.",
                       file.string()));
+    const std::filesystem::path unfinished = file.string() + ".part";
     try {
-      return {file, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE | SQLITE_OPEN_NOMUTEX};
+      std::filesystem::remove(unfinished);
+      Database empty(unfinished, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE);
+      empty.execute(fmt::format("PRAGMA application_id={}; PRAGMA user_version={}",
+                                run_application_id, schema_version));
+      empty.execute(fmt::format("BEGIN; {} COMMIT", create_tables));
+      std::filesystem::rename(unfinished, file);
     } catch (const std::runtime_error& error) {
+      std::error_code ignored;
+      std::filesystem::remove(unfinished, ignored);
       throw std::runtime_error(fmt::format("cannot create '{}': {}.", file.string(), error.what()));
     }
+    return {file, SQLITE_OPEN_READWRITE | SQLITE_OPEN_NOMUTEX};
   }
 
   Inserter prepare(Database& database, const Config& writer_config) const {
     try {
-      database.execute(fmt::format("PRAGMA application_id={}", run_application_id));
       database.execute("PRAGMA journal_mode=WAL");
       database.execute("PRAGMA synchronous=NORMAL");
       if (writer_config.max_page_count > 0)
         database.execute(fmt::format("PRAGMA max_page_count={}", writer_config.max_page_count));
-      database.execute(
-          fmt::format("BEGIN; {} PRAGMA user_version={}; COMMIT", create_tables, schema_version));
       return Inserter(database);
     } catch (const std::runtime_error& error) {
       throw std::runtime_error(fmt::format("cannot create '{}': {}.", file.string(), error.what()));

@@ -260,6 +260,20 @@ TEST_F(Ending, CtrlCKeepsAndAnalysesWhatWasMeasured) {
   EXPECT_TRUE(fs::exists(out() / "report.html"));
 }
 
+TEST_F(Ending, CtrlCTwiceEndsAtOnce) {
+  Arguments arguments = small_study({"--set", "image={\"width\":2800,\"height\":2800}"});
+  Process process(command(arguments), {{"ENERGYPROF_VALIDATION", "0"}});
+  for (int i = 0; i < 200 && !fs::exists(out() / "run.sqlite"); ++i)
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  std::this_thread::sleep_for(std::chrono::seconds(1));  // now inside a frame of several seconds
+  process.send(SIGINT);
+  std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  process.send(SIGINT);
+  EXPECT_EQ(process.wait().code, 130);
+  EXPECT_FALSE(fs::exists(out() / "report.html"));
+  EXPECT_EQ(program({"analyze", out().string()}).code, 0);
+}
+
 TEST_F(Ending, KilledRunOpensAndCanBeAnalysed) {
   Process process(long_study(), {});
   wait_for(process, "[4/300]");
@@ -294,6 +308,20 @@ TEST_F(Ending, FullDiskIsOneLineAndKeepsWhatWasRecorded) {
                         "': database or disk is full."));
   EXPECT_THAT(output.err, HasSubstr("What was recorded until then is readable."));
   EXPECT_THAT(output.err, HasSubstr("\n1\n"));
+}
+
+TEST_F(Tracing, APictureThatCannotBeWrittenCostsAnEventOnly) {
+  Process process(command(small_study({"--set", "frames.timed=200"})), {});
+  for (int i = 0; i < 200 && !fs::exists(out() / "run.sqlite"); ++i)
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  fs::remove_all(out() / "images");
+  std::ofstream(out() / "images") << "in the way";
+  const Output output = process.wait();
+  EXPECT_EQ(output.code, 0) << output.err;
+  const RunRecord run = read_run(out());
+  for (const Trial& trial : run.trials) EXPECT_EQ(trial.skip_reason, "");
+  EXPECT_TRUE(std::any_of(run.events.begin(), run.events.end(),
+                          [](const Event& event) { return event.kind == "image"; }));
 }
 
 // ---------------------------------------------------------------------------- failing devices
