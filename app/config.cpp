@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <charconv>
 #include <cmath>
 #include <cstring>
 #include <fstream>
@@ -72,7 +73,7 @@ json parse(const std::string& text, const std::string& file) {
     if (!duplicate.empty())
       throw UsageError(fmt::format("{}: key '{}' is given twice", file, duplicate));
     return parsed;
-  } catch (const json::parse_error& error) {
+  } catch (const json::exception& error) {
     // nlohmann's text: "[json.exception.parse_error.101] parse error at line 3, column 5: ..."
     std::string why = error.what();
     if (const size_t end = why.find("] "); end != std::string::npos) why = why.substr(end + 2);
@@ -241,10 +242,17 @@ std::vector<ViewChoice> parse_views(const json& views) {
   return choices;
 }
 
-/// A name of the catalogue, the teapot with a number, or a path.
+/// A name of the catalogue, the teapot with a number from 1 to 256, or a path.
 bool is_model_name(const std::string& name) {
-  return accel::find_model(name) != nullptr || name.starts_with("teapot:") ||
-         name.find('/') != std::string::npos || accel::is_mesh_name(name);
+  constexpr std::string_view tessellated = "teapot:";
+  if (name.starts_with(tessellated)) {
+    int n = 0;
+    const char* end = name.data() + name.size();
+    const auto [rest, error] = std::from_chars(name.data() + tessellated.size(), end, n);
+    return error == std::errc() && rest == end && n >= 1 && n <= 256;
+  }
+  return accel::find_model(name) != nullptr || name.find('/') != std::string::npos ||
+         accel::is_mesh_name(name);
 }
 
 std::string model_names() {
@@ -287,10 +295,10 @@ Config interpret(json document, const std::string& file) {
   c.required = document.at("sampler").value("require", std::vector<std::string>{});
   for (size_t i = 0; i < c.models.size(); ++i)
     if (!is_model_name(c.models[i]))
-      throw UsageError(
-          fmt::format("{}: /models/{}: '{}' is not a model; expected {}, teapot:N or a "
-                      "path to .ply, .ply.gz or .obj",
-                      file, i, c.models[i], model_names()));
+      throw UsageError(fmt::format(
+          "{}: /models/{}: '{}' is not a model; expected {}, teapot:N (N from 1 to 256) or a "
+          "path to .ply, .ply.gz or .obj",
+          file, i, c.models[i], model_names()));
   for (size_t i = 0; i < c.algorithms.size(); ++i)
     if (find_algorithm(c.algorithms[i]) == nullptr)
       throw UsageError(

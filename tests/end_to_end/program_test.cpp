@@ -504,7 +504,11 @@ INSTANTIATE_TEST_SUITE_P(
         BadConfig{"unknown_model",
                   {"--set", "models.0=dragoon"},
                   "CONFIG: /models/0: 'dragoon' is not a model; expected teapot, bunny, dragon, "
-                  "teapot:N or a path to .ply, .ply.gz or .obj"},
+                  "teapot:N (N from 1 to 256) or a path to .ply, .ply.gz or .obj"},
+        BadConfig{"teapot_of_none",
+                  {"--set", "models.0=teapot:0"},
+                  "CONFIG: /models/0: 'teapot:0' is not a model; expected teapot, bunny, dragon, "
+                  "teapot:N (N from 1 to 256) or a path to .ply, .ply.gz or .obj"},
         BadConfig{"unknown_source",
                   {"--set", "sampler.sources=[\"rapl\"]"},
                   "CONFIG: /sampler/sources/0: 'rapl' is not a source; expected powercap, hwmon, "
@@ -533,6 +537,14 @@ TEST_F(Program, BadJsonNamesLineAndColumn) {
   const Output output = program({"--config", file});
   EXPECT_EQ(output.code, 2);
   EXPECT_THAT(output.err, HasSubstr(file + ": not JSON: parse error at line 3, column 1"));
+  const std::string list = write("list.json", "[]");
+  EXPECT_EQ(program({"--config", list}).err,
+            "energyprof: " + list +
+                ": /: [] is not allowed; expected an object with the keys models, "
+                "algorithms and more: what to trace, how often, what to record\n");
+  const std::string huge = write("huge.json", R"({"bounces": 1e400})");
+  EXPECT_EQ(program({"--config", huge}).err,
+            "energyprof: " + huge + ": not JSON: number overflow parsing '1e400'\n");
   const std::string twice = write("twice.json", R"({"models": ["teapot"], "models": ["bunny"]})");
   EXPECT_EQ(program({"--config", twice}).err,
             "energyprof: " + twice + ": key 'models' is given twice\n");
