@@ -9,6 +9,7 @@
 #include <fstream>
 #include <map>
 #include <memory>
+#include <new>
 #include <optional>
 #include <set>
 #include <thread>
@@ -236,6 +237,8 @@ class Study {
     trial.height = config_.height;
     trial.triangle_count = static_cast<int64_t>(scene.mesh.triangles.size());
 
+    progress_->begin_trial(fmt::format("[{}/{}] {} view {} {}", position + 1, trial_count,
+                                       trial.model, trial.view, trial.algorithm));
     const int64_t frames_before = frames_done_;
     std::string outcome;
     try {
@@ -249,8 +252,6 @@ class Study {
       cool_down();
       trial.begin_ns = now_ns();
       writer_->put_trial(trial);
-      progress_->begin_trial(fmt::format("[{}/{}] {} view {} {}", position + 1, trial_count,
-                                         trial.model, trial.view, trial.algorithm));
       outcome = trace(planned, trial, built.blob);
     } catch (const kernels::DeviceLost& error) {
       trial.skip_reason = error.what();
@@ -258,6 +259,8 @@ class Study {
     } catch (const kernels::OutOfMemory& error) {
       trial.skip_reason = error.what();
       replace_device(error.what());
+    } catch (const std::bad_alloc&) {
+      trial.skip_reason = "the host is out of memory";
     } catch (const RecordingFailed&) {
       throw;
     } catch (const std::runtime_error& error) {
