@@ -7,9 +7,8 @@
 
 namespace energyprof::accel {
 
-std::vector<std::byte> gpu_triangles(const Mesh& mesh) {
-  std::vector<std::byte> bytes(mesh.triangles.size() * sizeof(gpu::Triangle));
-  auto* triangles = reinterpret_cast<gpu::Triangle*>(bytes.data());
+std::vector<gpu::Triangle> gpu_triangles(const Mesh& mesh) {
+  std::vector<gpu::Triangle> triangles(mesh.triangles.size());
   tbb::parallel_for(tbb::blocked_range<size_t>(0, mesh.triangles.size(), 16384), [&](const auto&
                                                                                          range) {
     for (size_t i = range.begin(); i < range.end(); ++i) {
@@ -21,7 +20,7 @@ std::vector<std::byte> gpu_triangles(const Mesh& mesh) {
       triangles[i] = {glm::vec4(v0, normal.x), glm::vec4(e1, normal.y), glm::vec4(e2, normal.z)};
     }
   });
-  return bytes;
+  return triangles;
 }
 
 }  // namespace energyprof::accel

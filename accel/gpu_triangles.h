@@ -1,14 +1,14 @@
 /// Triangles as the kernels read them: corner, edges and normal, precomputed.
 #pragma once
 
-#include <cstddef>
 #include <vector>
 
 #include "accel/mesh.h"
+#include "core/gpu_layout.h"
 
 namespace energyprof::accel {
 
-/// gpu::Triangle[] in the order of mesh.triangles, as bytes.
-std::vector<std::byte> gpu_triangles(const Mesh& mesh);
+/// In the order of mesh.triangles. All structures of a scene share them.
+std::vector<gpu::Triangle> gpu_triangles(const Mesh& mesh);
 
 }  // namespace energyprof::accel

@@ -4,116 +4,188 @@
 #include <oneapi/tbb/blocked_range.h>
 #include <oneapi/tbb/parallel_for.h>
 
-#include <span>
+#include <stdexcept>
+
+#include "core/algorithms.h"
 
 namespace energyprof::accel {
 namespace {
 
-using gpu::BvhNode;
-using gpu::FrameConstants;
-using gpu::Hit;
-using gpu::PixelCounts;
-using gpu::PixelHits;
-using gpu::Ray;
-using gpu::Triangle;
+using namespace gpu;
 
-struct Scene {
-  explicit Scene(const AccelBlob& blob)
-      : nodes(reinterpret_cast<const BvhNode*>(blob.nodes.data()),
-              blob.nodes.size() / sizeof(BvhNode)),
-        triangles(reinterpret_cast<const Triangle*>(blob.triangles.data()),
-                  blob.triangles.size() / sizeof(Triangle)),
-        stack_size(blob.max_depth + 1) {}
+constexpr uint stack_size = 128;
 
-  std::span<const BvhNode> nodes;
-  std::span<const Triangle> triangles;
-  size_t stack_size;
+/// One shader invocation on the CPU: what kernels/shaders/scene.glsl supplies there, and the
+/// traversals. `recording`: reads are listed in `reads`.
+template <bool recording>
+class Thread {
+ public:
+  Thread(const CpuScene& scene, const FrameConstants& frame_constants)
+      : constants(frame_constants),
+        has_refs(!scene.blob.refs.empty()),
+        nodes_(scene.blob.nodes.data()),
+        refs_(scene.blob.refs.data()),
+        triangles_(scene.triangles.data()) {}
+
+#include "core/traversal/leaf.h"
+// leaf.h first, kd.h before its users
+#include "core/traversal/bvh_ftb_bf.h"
+#include "core/traversal/bvh_ftb_df.h"
+#include "core/traversal/bvh_stackless_df.h"
+#include "core/traversal/grid.h"
+#include "core/traversal/kd.h"
+#include "core/traversal/kd_stack.h"
+#include "core/traversal/kd_tree.h"
+
+  PixelCounts work{};
+  std::vector<MemoryRead> reads;
+
+ private:
+  void count_step() { ++work.loop_steps; }
+  void count_node_visit() { ++work.node_visits; }
+  void count_box_test() { ++work.box_tests; }
+
+  template <class T>
+  const T& load(MemoryRead::Buffer buffer, const void* begin, uint index) {
+    if constexpr (recording)
+      reads.push_back({buffer, sizeof(T), uint64_t{index} * sizeof(T), work.loop_steps});
+    return static_cast<const T*>(begin)[index];
+  }
+  const BvhNode& load_bvh_node(uint i) {
+    return load<BvhNode>(MemoryRead::Buffer::nodes, nodes_, i);
+  }
+  uvec2 load_bvh_links(uint i) {
+    const auto& node = load<BvhNode>(MemoryRead::Buffer::nodes, nodes_, i);
+    return {floatBitsToUint(node.min_link.w), floatBitsToUint(node.max_link.w)};
+  }
+  const KdNode& load_kd_node(uint i) { return load<KdNode>(MemoryRead::Buffer::nodes, nodes_, i); }
+  const GridCell& load_grid_cell(uint i) {
+    return load<GridCell>(MemoryRead::Buffer::nodes, nodes_, i);
+  }
+  uint load_ref(uint i) { return load<uint>(MemoryRead::Buffer::refs, refs_, i); }
+
+  Hit test_triangle(const Hit& best, const Ray& ray, uint prim) {
+    ++work.prim_tests;
+    const auto& triangle = load<Triangle>(MemoryRead::Buffer::triangles, triangles_, prim);
+    return closer_hit(best, ray, xyz(triangle.v0_nx), xyz(triangle.e1_ny), xyz(triangle.e2_nz),
+                      prim);
+  }
+
+  const FrameConstants& constants;
+  const bool has_refs;
+  const std::byte* nodes_;
+  const uint32_t* refs_;
+  const Triangle* triangles_;
 };
 
-Hit test_triangle(const Scene& scene, Hit best, const Ray& ray, uint32_t prim) {
-  const Triangle& triangle = scene.triangles[prim];
-  return gpu::closer_hit(best, ray, glm::vec3(triangle.v0_nx), glm::vec3(triangle.e1_ny),
-                         glm::vec3(triangle.e2_nz), prim);
+template <bool recording>
+using Trace = Hit (Thread<recording>::*)(Ray);
+
+template <bool recording>
+Trace<recording> find_trace(std::string_view algorithm) {
+#define EP_TRACE(name, file, kind, uses_stack, text) \
+  if (algorithm == #name) return &Thread<recording>::trace_##file;
+  EP_ALGORITHMS(EP_TRACE)
+#undef EP_TRACE
+  return nullptr;
 }
 
-Hit trace_brute_force(const Scene& scene, const Ray& ray, PixelCounts& counts) {
-  Hit best{ray.t_max, 0};
-  for (uint32_t prim = 0; prim < scene.triangles.size(); ++prim)
-    best = test_triangle(scene, best, ray, prim);
-  counts.prim_tests += static_cast<uint32_t>(scene.triangles.size());
-  return best;
+/// Checks algorithm against structure and completes the constants.
+void prepare(std::string_view algorithm, const CpuScene& scene, FrameConstants& constants) {
+  const AlgorithmInfo* info = find_algorithm(algorithm);
+  if (info == nullptr)
+    throw std::runtime_error(
+        fmt::format("cannot trace with '{}': there is no such algorithm.", algorithm));
+  if (info->kind != scene.blob.kind)
+    throw std::runtime_error(fmt::format(
+        "cannot trace with '{}': the scene was built as another structure than it traverses.",
+        algorithm));
+  if (info->uses_stack && scene.blob.max_depth + 1 > stack_size)
+    throw std::runtime_error(
+        fmt::format("cannot trace with '{}': the tree needs a stack of {} entries, there are {}.",
+                    algorithm, scene.blob.max_depth + 1, stack_size));
+  set_structure(constants, scene.blob);
 }
 
-/// The twin of kernels/shaders/bvh_ftb_df.comp: same order, same counts.
-Hit trace_bvh(const Scene& scene, const Ray& ray, std::vector<uint32_t>& stack,
-              PixelCounts& counts) {
-  Hit best{ray.t_max, 0};
-  if (scene.nodes.empty()) return best;
-  const glm::vec3 inv_d = gpu::inverse_direction(ray.direction);
-  stack.clear();
-  stack.push_back(0);
-  while (!stack.empty()) {
-    const uint32_t index = stack.back();
-    stack.pop_back();
-    const BvhNode& node = scene.nodes[index];
-    ++counts.loop_steps;
-    ++counts.node_visits;
-    ++counts.box_tests;
-    if (gpu::enter_box(glm::vec3(node.min_link), glm::vec3(node.max_link), ray.origin, inv_d,
-                       ray.t_min, best.t) < 0.0f)
-      continue;
-    const int word = gpu::floatBitsToInt(node.min_link.w);
-    if (word >= 0) {
-      ++counts.prim_tests;
-      best = test_triangle(scene, best, ray, static_cast<uint32_t>(word));
-      continue;
-    }
-    const auto left = index + 1;
-    const auto right = static_cast<uint32_t>(gpu::floatBitsToInt(node.max_link.w));
-    const bool left_first = ray.direction[-(word + 1)] >= 0.0f;
-    stack.push_back(left_first ? right : left);
-    stack.push_back(left_first ? left : right);
+/// Traces one pixel; `trace(ray)` gives the closest hit.
+template <class TraceRay>
+PixelHits trace_pixel(const FrameConstants& constants, std::span<const Triangle> triangles,
+                      uint32_t x, uint32_t y, TraceRay&& trace) {
+  PixelHits hits{0, 0, ray_absent, 0};
+  const Ray primary = primary_ray(constants, x, y);
+  const Hit first = trace(primary);
+  hits.primary_id = first.prim_id;
+  hits.primary_t = floatBitsToUint(first.t);
+  if (first.prim_id != 0 && constants.bounce_count > 0) {
+    const Triangle& triangle = triangles[first.prim_id - 1];
+    const glm::vec3 normal(triangle.v0_nx.w, triangle.e1_ny.w, triangle.e2_nz.w);
+    const Hit second =
+        trace(bounce_ray(constants, primary, first.t, normal, y * constants.width + x));
+    hits.bounce_id = second.prim_id;
+    hits.bounce_t = floatBitsToUint(second.t);
   }
-  return best;
+  return hits;
+}
+
+/// Calls trace(x, y) for every pixel, rows in parallel.
+template <class TracePixel>
+void for_each_pixel(const FrameConstants& constants, TracePixel&& trace) {
+  tbb::parallel_for(tbb::blocked_range<uint32_t>(0, constants.height), [&](const auto& rows) {
+    for (uint32_t y = rows.begin(); y < rows.end(); ++y)
+      for (uint32_t x = 0; x < constants.width; ++x) trace(x, y);
+  });
 }
 
 }  // namespace
 
-CpuFrame trace_cpu(const AccelBlob& blob, const FrameConstants& constants, CpuMethod method) {
-  const Scene scene(blob);
+CpuFrame trace_cpu(std::string_view algorithm, const CpuScene& scene, FrameConstants constants) {
+  prepare(algorithm, scene, constants);
+  const Trace<false> trace = find_trace<false>(algorithm);
   CpuFrame frame;
   frame.hits.resize(size_t{constants.width} * constants.height);
   frame.counts.resize(frame.hits.size());
-  tbb::parallel_for(tbb::blocked_range<uint32_t>(0, constants.height), [&](const auto& rows) {
-    std::vector<uint32_t> stack;
-    stack.reserve(scene.stack_size);
-    const auto trace = [&](const Ray& ray, PixelCounts& counts) {
-      return method == CpuMethod::brute_force ? trace_brute_force(scene, ray, counts)
-                                              : trace_bvh(scene, ray, stack, counts);
-    };
-    for (uint32_t y = rows.begin(); y < rows.end(); ++y)
-      for (uint32_t x = 0; x < constants.width; ++x) {
-        const uint32_t pixel = y * constants.width + x;
-        PixelCounts counts{};
-        PixelHits hits{};
-        const Ray primary = gpu::primary_ray(constants, x, y);
-        const Hit first = trace(primary, counts);
-        hits.primary_id = first.prim_id;
-        hits.primary_t = gpu::floatBitsToUint(first.t);
-        hits.bounce_id = gpu::ray_absent;
-        if (first.prim_id != 0 && constants.bounce_count > 0) {
-          const Triangle& triangle = scene.triangles[first.prim_id - 1];
-          const glm::vec3 normal(triangle.v0_nx.w, triangle.e1_ny.w, triangle.e2_nz.w);
-          const Hit second =
-              trace(gpu::bounce_ray(constants, primary, first.t, normal, pixel), counts);
-          hits.bounce_id = second.prim_id;
-          hits.bounce_t = gpu::floatBitsToUint(second.t);
-        }
-        frame.hits[pixel] = hits;
-        frame.counts[pixel] = counts;
-      }
+  for_each_pixel(constants, [&](uint32_t x, uint32_t y) {
+    Thread<false> thread(scene, constants);
+    const size_t pixel = size_t{y} * constants.width + x;
+    frame.hits[pixel] = trace_pixel(constants, scene.triangles, x, y, [&](const Ray& ray) {
+      return constants.node_count == 0 ? no_hit(ray) : (thread.*trace)(ray);
+    });
+    frame.counts[pixel] = thread.work;
   });
   return frame;
+}
+
+CpuFrame trace_brute_force(std::span<const Triangle> triangles, const FrameConstants& constants) {
+  CpuFrame frame;
+  frame.hits.resize(size_t{constants.width} * constants.height);
+  frame.counts.resize(frame.hits.size());
+  for_each_pixel(constants, [&](uint32_t x, uint32_t y) {
+    const size_t pixel = size_t{y} * constants.width + x;
+    frame.hits[pixel] = trace_pixel(constants, triangles, x, y, [&](const Ray& ray) {
+      Hit best = no_hit(ray);
+      for (uint prim = 0; prim < triangles.size(); ++prim)
+        best = closer_hit(best, ray, xyz(triangles[prim].v0_nx), xyz(triangles[prim].e1_ny),
+                          xyz(triangles[prim].e2_nz), prim);
+      frame.counts[pixel].prim_tests += static_cast<uint>(triangles.size());
+      return best;
+    });
+  });
+  return frame;
+}
+
+PixelReads record_reads(std::string_view algorithm, const CpuScene& scene,
+                        const FrameConstants& frame_constants, uint32_t x, uint32_t y) {
+  FrameConstants constants = frame_constants;
+  prepare(algorithm, scene, constants);
+  const Trace<true> trace = find_trace<true>(algorithm);
+  PixelReads reads;
+  trace_pixel(constants, scene.triangles, x, y, [&](const Ray& ray) {
+    Thread<true> thread(scene, constants);
+    const Hit hit = constants.node_count == 0 ? no_hit(ray) : (thread.*trace)(ray);
+    (reads.ray_count++ == 0 ? reads.primary : reads.bounce) = std::move(thread.reads);
+    return hit;
+  });
+  return reads;
 }
 
 FrameSums sum_hits(const std::vector<PixelHits>& hits) {
@@ -121,10 +193,10 @@ FrameSums sum_hits(const std::vector<PixelHits>& hits) {
   glm::uvec2 checksum(0);
   for (size_t pixel = 0; pixel < hits.size(); ++pixel) {
     const PixelHits& h = hits[pixel];
-    const bool has_bounce = h.bounce_id != gpu::ray_absent;
+    const bool has_bounce = h.bounce_id != ray_absent;
     sums.ray_count += has_bounce ? 2 : 1;
     sums.hit_count += (h.primary_id != 0 ? 1 : 0) + (has_bounce && h.bounce_id != 0 ? 1 : 0);
-    checksum += gpu::checksum_terms(static_cast<uint32_t>(pixel), h);
+    checksum += checksum_terms(static_cast<uint32_t>(pixel), h);
   }
   sums.hit_checksum = fmt::format("{:08x}{:08x}", checksum.x, checksum.y);
   return sums;

@@ -141,6 +141,21 @@ std::optional<double> per_ray(const RunRecord& run, const std::vector<std::size_
   return total / rays;
 }
 
+std::optional<double> simd_efficiency(const RunRecord& run,
+                                      const std::vector<std::size_t>& counted_frames) {
+  std::vector<double> values;
+  for (std::size_t i : counted_frames)
+    if (const auto& value = run.frames[i].simd_efficiency) values.push_back(*value);
+  if (values.empty()) return std::nullopt;
+  return mean(values);
+}
+
+/// Text of the record as JSON; null unless it is an object.
+nlohmann::json object_or_null(const std::string& text) {
+  auto value = nlohmann::json::parse(text, nullptr, false);
+  return value.is_object() ? value : nlohmann::json(nullptr);
+}
+
 std::optional<double> score_of(std::span<const double> times_ms, const ScoreConfig& config) {
   const auto deviation = stddev(times_ms);
   if (!deviation) return std::nullopt;
@@ -163,10 +178,29 @@ Cell make_cell(const RunRecord& run, const CellKey& key, const CellFrames& frame
   cell.stddev_ms = stddev(cell.frame_ms);
   cell.score_ms = score_of(cell.frame_ms, score);
   add_ray_numbers(run, frames, cell);
-  cell.node_visits_per_ray = per_ray(run, frames.counted, &FrameRecord::node_visit_count);
-  cell.box_tests_per_ray = per_ray(run, frames.counted, &FrameRecord::box_test_count);
-  cell.prim_tests_per_ray = per_ray(run, frames.counted, &FrameRecord::prim_test_count);
+  cell.work.node_visits_per_ray = per_ray(run, frames.counted, &FrameRecord::node_visit_count);
+  cell.work.box_tests_per_ray = per_ray(run, frames.counted, &FrameRecord::box_test_count);
+  cell.work.prim_tests_per_ray = per_ray(run, frames.counted, &FrameRecord::prim_test_count);
+  cell.work.loop_steps_per_ray = per_ray(run, frames.counted, &FrameRecord::loop_step_count);
+  cell.work.simd_efficiency = simd_efficiency(run, frames.counted);
   return cell;
+}
+
+/// What the recorder modelled for a cell: from the first usable trial of it that says so.
+void add_cache_model(const RunRecord& run, std::vector<Cell>& cells) {
+  for (Cell& cell : cells)
+    for (const Trial& trial : run.trials) {
+      if (trial.model != cell.model || trial.view != cell.view ||
+          trial.algorithm != cell.algorithm || !trial.skip_reason.empty() ||
+          (!trial.bytes_per_pixel && !trial.l1_misses_per_ray && !trial.llc_misses_per_ray))
+        continue;
+      cell.work.bytes_per_pixel = trial.bytes_per_pixel;
+      cell.work.l1_misses_per_ray = trial.l1_misses_per_ray;
+      cell.work.llc_misses_per_ray = trial.llc_misses_per_ray;
+      cell.work.footprint_bytes = trial.footprint_bytes;
+      cell.work.cache_model = object_or_null(trial.cache_model);
+      break;
+    }
 }
 
 std::vector<Outlier> find_outliers(const RunRecord& run, std::vector<Cell>& cells) {
@@ -352,14 +386,23 @@ std::vector<RankingRow> rank(const std::vector<Cell>& cells, const ScoreConfig& 
 void warn_about_trials(const RunRecord& run, const std::vector<Cell>& cells,
                        std::vector<std::string>& warnings) {
   std::set<std::string> unranked;
+  std::map<std::pair<std::string, std::string>, std::vector<const Trial*>> skipped;
   std::size_t unfinished_count = 0;
   for (const Trial& trial : run.trials) {
     if (!trial.end_ns) ++unfinished_count;
     if (!trial.algorithm.empty()) unranked.insert(trial.algorithm);
-    if (!trial.skip_reason.empty())
+    if (!trial.skip_reason.empty()) skipped[{trial.model, trial.skip_reason}].push_back(&trial);
+  }
+  for (const auto& [model_and_reason, trials] : skipped) {
+    const auto& [model, reason] = model_and_reason;
+    const Trial& first = *trials.front();
+    if (trials.size() == 1)
       warnings.push_back(fmt::format("Skipped: {}, {}, repetition {}: {}",
-                                     place_name({trial.model, trial.view}), trial.algorithm,
-                                     trial.repetition, trial.skip_reason));
+                                     place_name({model, first.view}), first.algorithm,
+                                     first.repetition, reason));
+    else
+      warnings.push_back(
+          fmt::format("Skipped: {}, {}: {}", model, counted(trials.size(), "trial"), reason));
   }
   for (const Cell& cell : cells) unranked.erase(cell.algorithm);
   if (!unranked.empty())
@@ -372,22 +415,30 @@ void warn_about_trials(const RunRecord& run, const std::vector<Cell>& cells,
                     counted(unfinished_count, "trial")));
 }
 
-std::vector<Build> list_builds(const RunRecord& run) {
-  std::vector<Build> builds;
+std::vector<Structure> list_structures(const RunRecord& run) {
+  std::vector<Structure> structures;
   std::set<std::pair<std::string, std::string>> seen;
   for (const Trial& trial : run.trials) {
     if (!trial.build_ns && !trial.blob_bytes) continue;
     if (!seen.emplace(trial.model, trial.algorithm).second) continue;
-    Build build{trial.model,      trial.algorithm,      std::nullopt,
-                trial.blob_bytes, trial.triangle_count, trial.node_count,
-                trial.leaf_count, trial.max_depth,      trial.sah_cost};
-    if (trial.build_ns) build.build_ms = static_cast<double>(*trial.build_ns) * 1e-6;
-    builds.push_back(build);
+    Structure& structure = structures.emplace_back();
+    structure.model = trial.model;
+    structure.algorithm = trial.algorithm;
+    structure.parameters = object_or_null(trial.build_config);
+    if (trial.build_ns) structure.build_ms = static_cast<double>(*trial.build_ns) * 1e-6;
+    structure.cached = trial.build_cached;
+    structure.blob_bytes = trial.blob_bytes;
+    structure.triangle_count = trial.triangle_count;
+    structure.node_count = trial.node_count;
+    structure.leaf_count = trial.leaf_count;
+    structure.ref_count = trial.ref_count;
+    structure.max_depth = trial.max_depth;
+    structure.sah_cost = trial.sah_cost;
   }
-  std::sort(builds.begin(), builds.end(), [](const Build& a, const Build& b) {
+  std::sort(structures.begin(), structures.end(), [](const Structure& a, const Structure& b) {
     return std::tie(a.model, a.algorithm) < std::tie(b.model, b.algorithm);
   });
-  return builds;
+  return structures;
 }
 
 std::string sensor_status(const SensorSummary& sensor, bool went_away) {
@@ -520,11 +571,12 @@ Analysis analyze(const RunRecord& run) {
   for (const auto& [key, cell_frames] : frames)
     if (!cell_frames.timed.empty())
       analysis.cells.push_back(make_cell(run, key, cell_frames, analysis.score));
+  add_cache_model(run, analysis.cells);
   warn_about_trials(run, analysis.cells, warnings);
   compare_checksums(run, trials, analysis.cells, warnings);
   analysis.outliers = find_outliers(run, analysis.cells);
   analysis.ranking = rank(analysis.cells, analysis.score, warnings);
-  analysis.builds = list_builds(run);
+  analysis.structures = list_structures(run);
   analysis.sensors = summarize_sensors(run, warnings);
   warn_about_sampler(analysis.sampler, warnings);
   analysis.energy = energy_rows(analysis, warnings);

@@ -56,6 +56,22 @@ struct ScoreConfig {
   double weight_stddev = 0.5;  ///< of the standard deviation
 };
 
+/// What tracing one frame of a cell took, whatever the time: from its counted frames, and from the
+/// recorder's model of the caches. docs/method.md defines each.
+struct Work {
+  std::optional<double> node_visits_per_ray;
+  std::optional<double> box_tests_per_ray;
+  std::optional<double> prim_tests_per_ray;
+  std::optional<double> loop_steps_per_ray;
+  std::optional<double> simd_efficiency;  ///< above 0 to 1, the best
+  // Modelled, not measured:
+  std::optional<double> bytes_per_pixel;
+  std::optional<double> l1_misses_per_ray;
+  std::optional<double> llc_misses_per_ray;
+  std::optional<int64_t> footprint_bytes;
+  nlohmann::json cache_model;  ///< what was modelled; null when unknown
+};
+
 /// The timed frames of one algorithm on one model from one view, all repetitions together.
 struct Cell {
   std::string model;
@@ -74,9 +90,7 @@ struct Cell {
   std::optional<double> mrays_per_s;     ///< median over frames of rays / frame time
   std::optional<double> hit_ratio;
   std::optional<double> clock_error_us;  ///< median: frames are placed in host time within +- this
-  std::optional<double> node_visits_per_ray;  ///< from counted frames
-  std::optional<double> box_tests_per_ray;    ///< from counted frames
-  std::optional<double> prim_tests_per_ray;   ///< from counted frames
+  Work work;
   /// Whether every algorithm found the same hits on this model and view; absent unless two can be
   /// compared.
   std::optional<bool> checksums_agree;
@@ -110,11 +124,13 @@ struct Outlier {
 };
 
 /// How one structure was built, from the first trial that used it.
-struct Build {
+struct Structure {
   std::string model;
   std::string algorithm;
+  nlohmann::json parameters;  ///< the builder's; null when unknown
   std::optional<double> build_ms;
-  std::optional<int64_t> blob_bytes, triangle_count, node_count, leaf_count, max_depth;
+  std::optional<bool> cached;  ///< taken from disk: build_ms is the time of its build
+  std::optional<int64_t> blob_bytes, triangle_count, node_count, leaf_count, ref_count, max_depth;
   std::optional<double> sah_cost;
 };
 
@@ -167,10 +183,10 @@ struct Analysis {
   std::vector<Flag> flags;
   std::string headline;  ///< the result in one sentence
   ScoreConfig score;
-  std::vector<RankingRow> ranking;  ///< best first; empty when nothing can be compared
-  std::vector<Cell> cells;          ///< by model, view, then algorithm in the config's order
-  std::vector<Outlier> outliers;    ///< by time
-  std::vector<Build> builds;
+  std::vector<RankingRow> ranking;    ///< best first; empty when nothing can be compared
+  std::vector<Cell> cells;            ///< by model, view, then algorithm in the config's order
+  std::vector<Outlier> outliers;      ///< by time
+  std::vector<Structure> structures;  ///< by model, then algorithm
   std::vector<SensorSummary> sensors;
   std::vector<MissingSensor> missing_sensors;
   std::vector<DeviceRefusal> device_refusals;

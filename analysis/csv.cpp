@@ -23,7 +23,8 @@ std::string quoted(std::string_view text) {
   return result + '"';
 }
 
-std::string field(const std::optional<int64_t>& value) {
+template <class T>
+std::string field(const std::optional<T>& value) {
   return value ? fmt::format("{}", *value) : std::string();
 }
 
@@ -34,7 +35,8 @@ void write_frames_csv(const RunRecord& run, std::ostream& out) {
   for (const Trial& trial : run.trials) trials.emplace(trial.id, &trial);
   out << "frame_id,trial_id,model,view,algorithm,repetition,position,skip_reason,frame,phase,"
          "submit_ns,begin_ns,end_ns,clock_error_ns,ray_count,hit_count,hit_checksum,"
-         "node_visit_count,box_test_count,prim_test_count,dispatch_count\r\n";
+         "node_visit_count,box_test_count,prim_test_count,dispatch_count,loop_step_count,"
+         "simd_efficiency\r\n";
   for (const FrameRecord& frame : run.frames) {
     const auto found = trials.find(frame.trial_id);
     fmt::print(out, "{},{},", frame.id, frame.trial_id);
@@ -46,12 +48,13 @@ void write_frames_csv(const RunRecord& run, std::ostream& out) {
                  quoted(trial.algorithm), trial.repetition, trial.position,
                  quoted(trial.skip_reason));
     }
-    fmt::print(out, "{},{},{},{},{},{},{},{},{},{},{},{},{}\r\n", frame.frame,
+    fmt::print(out, "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}\r\n", frame.frame,
                to_string(frame.phase), frame.submit_ns, frame.begin_ns, frame.end_ns,
                field(frame.clock_error_ns), field(frame.ray_count), field(frame.hit_count),
                quoted(frame.hit_checksum), field(frame.node_visit_count),
                field(frame.box_test_count), field(frame.prim_test_count),
-               field(frame.dispatch_count));
+               field(frame.dispatch_count), field(frame.loop_step_count),
+               field(frame.simd_efficiency));
   }
 }
 

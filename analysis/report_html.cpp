@@ -179,6 +179,7 @@ json image_list(const std::vector<ReportImage>& images, std::size_t& left_out_co
   json list = json::array();
   std::size_t total_bytes = 0;
   for (const ReportImage& image : images) {
+    if (image.png.empty()) continue;
     if (total_bytes + image.png.size() > max_image_bytes) {
       ++left_out_count;
       continue;
@@ -193,7 +194,13 @@ json page_data(const RunRecord& run, const Analysis& analysis,
                const std::vector<ReportImage>& images) {
   json data;
   std::size_t left_out_count = 0;
-  data["report"] = report_json(run, analysis);
+  std::vector<std::string> image_files;
+  json named_images = json::array();
+  for (const ReportImage& image : images) {
+    image_files.push_back(image_file(image.title));
+    if (image.png.empty()) named_images.push_back(image_files.back());
+  }
+  data["report"] = report_json(run, analysis, image_files);
   data["frames"] = frame_points(run, analysis);
   std::tie(data["tracks"], data["not_drawn"]) = sensor_tracks(run, analysis);
   data["sensor_rows"] = sensor_rows(analysis);
@@ -202,6 +209,9 @@ json page_data(const RunRecord& run, const Analysis& analysis,
   data["duration"] = duration_text(analysis.run.end_ns - analysis.run.begin_ns);
   data["images"] = image_list(images, left_out_count);
   data["images_left_out"] = left_out_count;
+  data["named_images"] = std::move(named_images);
+  data["cache_text"] = cache_text(analysis);
+  data["idle_text"] = idle_text(analysis);
   return data;
 }
 
@@ -259,6 +269,8 @@ std::string fill(std::string_view page, const std::map<std::string_view, std::st
 }
 
 }  // namespace
+
+std::string image_file(const std::string& title) { return "images/" + title + ".png"; }
 
 std::string report_html(const RunRecord& run, const Analysis& analysis,
                         const std::vector<ReportImage>& images) {

@@ -10,9 +10,12 @@ namespace energyprof::analysis {
 
 /// A picture for the page.
 struct ReportImage {
-  std::string title;  ///< says what it shows; also the text for those who cannot see it
-  std::string png;    ///< the bytes of the file
+  std::string title;  ///< the file's name without ".png"; also for those who cannot see it
+  std::string png;    ///< the bytes of the file; empty: the page only names it
 };
+
+/// Where the picture of that title lies in a run's directory.
+std::string image_file(const std::string& title);
 
 /// The page. Curves are thinned to about 2,000 points per channel, lowest and highest values kept,
 /// and fewer with many channels; images are left out, and counted, beyond 3 MiB together.

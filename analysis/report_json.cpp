@@ -1,5 +1,8 @@
 #include "analysis/report_json.h"
 
+#include <fmt/format.h>
+
+#include <string_view>
 #include <utility>
 
 #include "core/run_db.h"
@@ -87,6 +90,19 @@ json ranking_json(const RankingRow& row) {
           {"cells", row.cell_count}};
 }
 
+json work_json(const Work& work) {
+  return {{"node_visits_per_ray", or_null(work.node_visits_per_ray)},
+          {"box_tests_per_ray", or_null(work.box_tests_per_ray)},
+          {"prim_tests_per_ray", or_null(work.prim_tests_per_ray)},
+          {"loop_steps_per_ray", or_null(work.loop_steps_per_ray)},
+          {"simd_efficiency", or_null(work.simd_efficiency)},
+          {"bytes_per_pixel_modelled", or_null(work.bytes_per_pixel)},
+          {"l1_misses_per_ray_modelled", or_null(work.l1_misses_per_ray)},
+          {"llc_misses_per_ray_modelled", or_null(work.llc_misses_per_ray)},
+          {"footprint_bytes_modelled", or_null(work.footprint_bytes)},
+          {"cache_model", work.cache_model}};
+}
+
 json cell_json(const Cell& cell) {
   const auto& interval = cell.median_interval_ms;
   return {{"model", cell.model},
@@ -106,9 +122,7 @@ json cell_json(const Cell& cell) {
           {"hit_ratio", or_null(cell.hit_ratio)},
           {"checksums_agree", or_null(cell.checksums_agree)},
           {"clock_error_us", or_null(cell.clock_error_us)},
-          {"node_visits_per_ray", or_null(cell.node_visits_per_ray)},
-          {"box_tests_per_ray", or_null(cell.box_tests_per_ray)},
-          {"prim_tests_per_ray", or_null(cell.prim_tests_per_ray)}};
+          {"work", work_json(cell.work)}};
 }
 
 json outlier_json(const RunRecord& run, const Analysis& analysis, const Outlier& outlier) {
@@ -122,16 +136,28 @@ json outlier_json(const RunRecord& run, const Analysis& analysis, const Outlier&
       {"evidence", json::array()}};
 }
 
-json build_json(const Build& build) {
-  return {{"model", build.model},
-          {"algorithm", build.algorithm},
-          {"build_ms", or_null(build.build_ms)},
-          {"blob_bytes", or_null(build.blob_bytes)},
-          {"triangle_count", or_null(build.triangle_count)},
-          {"node_count", or_null(build.node_count)},
-          {"leaf_count", or_null(build.leaf_count)},
-          {"max_depth", or_null(build.max_depth)},
-          {"sah_cost", or_null(build.sah_cost)}};
+json structure_json(const Structure& structure) {
+  const auto mib = [](int64_t bytes) { return static_cast<double>(bytes) / (1024.0 * 1024.0); };
+  return {{"model", structure.model},
+          {"algorithm", structure.algorithm},
+          {"parameters", structure.parameters},
+          {"build_ms", or_null(structure.build_ms)},
+          {"cached", or_null(structure.cached)},
+          {"blob_mib", structure.blob_bytes ? json(mib(*structure.blob_bytes)) : json(nullptr)},
+          {"blob_bytes", or_null(structure.blob_bytes)},
+          {"triangle_count", or_null(structure.triangle_count)},
+          {"node_count", or_null(structure.node_count)},
+          {"leaf_count", or_null(structure.leaf_count)},
+          {"ref_count", or_null(structure.ref_count)},
+          {"max_depth", or_null(structure.max_depth)},
+          {"sah_cost", or_null(structure.sah_cost)}};
+}
+
+/// What a picture shows, by the end of its name.
+std::string_view picture_kind(std::string_view file) {
+  for (const std::string_view kind : {"reference", "heat", "montage", "views"})
+    if (file.ends_with(fmt::format("_{}.png", kind))) return kind;
+  return "other";
 }
 
 json energy_json(const EnergyRow& row) {
@@ -171,7 +197,8 @@ json list(const Range& range, Convert convert) {
 
 }  // namespace
 
-json report_json(const RunRecord& run, const Analysis& analysis) {
+json report_json(const RunRecord& run, const Analysis& analysis,
+                 const std::vector<std::string>& image_files) {
   json report;
   report["schema_version"] = schema_version;
   report["run"] = run_json(run, analysis);
@@ -191,7 +218,10 @@ json report_json(const RunRecord& run, const Analysis& analysis) {
                      {"weight_stddev", analysis.score.weight_stddev}};
   report["ranking"] = list(analysis.ranking, ranking_json);
   report["cells"] = list(analysis.cells, cell_json);
-  report["builds"] = list(analysis.builds, build_json);
+  report["structures"] = list(analysis.structures, structure_json);
+  report["images"] = list(image_files, [](const std::string& file) {
+    return json{{"file", file}, {"kind", picture_kind(file)}};
+  });
   report["energy"] = list(analysis.energy, energy_json);
   report["outliers"] = list(analysis.outliers, [&](const Outlier& outlier) {
     return outlier_json(run, analysis, outlier);

@@ -2,12 +2,16 @@
 #pragma once
 
 #include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
 
 #include "analysis/analyze.h"
 
 namespace energyprof::analysis {
 
-/// The fields of docs/run-format.md. Names carry units; what is unknown is null.
-nlohmann::json report_json(const RunRecord& run, const Analysis& analysis);
+/// The fields of docs/run-format.md. Names carry units; what is unknown is null. `image_files` are
+/// the run's pictures, relative to its directory.
+nlohmann::json report_json(const RunRecord& run, const Analysis& analysis,
+                           const std::vector<std::string>& image_files = {});
 
 }  // namespace energyprof::analysis

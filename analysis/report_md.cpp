@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cctype>
 #include <iterator>
 #include <span>
 #include <utility>
@@ -46,6 +47,17 @@ std::string escaped(std::string_view text) {
       default:
         result += c;
     }
+  }
+  return result;
+}
+
+/// A relative path as the target of a link.
+std::string link(std::string_view path) {
+  std::string result;
+  for (const char c : path) {
+    const bool plain = std::isalnum(static_cast<unsigned char>(c)) != 0 ||
+                       std::string_view("/._-").find(c) != std::string_view::npos;
+    result += plain ? std::string(1, c) : fmt::format("%{:02X}", static_cast<unsigned char>(c));
   }
   return result;
 }
@@ -160,6 +172,66 @@ void write_cells(Page& page, const Analysis& analysis) {
   }
 }
 
+void write_work(Page& page, const Analysis& analysis) {
+  if (analysis.cells.empty()) return;
+  page.heading("Work per ray");
+  const auto known = [](const Cell& cell) {
+    return cell.work.node_visits_per_ray || cell.work.prim_tests_per_ray ||
+           cell.work.l1_misses_per_ray;
+  };
+  if (std::none_of(analysis.cells.begin(), analysis.cells.end(), known))
+    return page.line("No frame counted its work.");
+  page.table({"model", ">view", "algorithm", ">nodes", ">boxes", ">triangles", ">loop steps",
+              ">SIMD efficiency", ">L1 misses, *modelled*", ">LLC misses, *modelled*",
+              ">bytes per pixel, *modelled*"});
+  for (const Cell& cell : analysis.cells) {
+    const Work& work = cell.work;
+    page.row({escaped(cell.model), fmt::format("{}", cell.view), escaped(cell.algorithm),
+              number(work.node_visits_per_ray, 1), number(work.box_tests_per_ray, 1),
+              number(work.prim_tests_per_ray, 1), number(work.loop_steps_per_ray, 1),
+              number(work.simd_efficiency, 3), number(work.l1_misses_per_ray, 2),
+              number(work.llc_misses_per_ray, 3), number(work.bytes_per_pixel, 0)});
+  }
+  if (const std::string text = cache_text(analysis); !text.empty())
+    page.line("\n{}", escaped(text));
+}
+
+std::string count(std::optional<int64_t> value) {
+  return value ? fmt::format("{}", *value) : std::string("-");
+}
+
+void write_structures(Page& page, const Analysis& analysis) {
+  if (analysis.structures.empty()) return;
+  page.heading("Structures");
+  page.table({"model", "algorithm", ">build \\[ms\\]", ">size \\[MiB\\]", ">triangles", ">nodes",
+              ">leaves", ">references", ">depth", ">SAH cost"});
+  bool any_cached = false;
+  for (const Structure& structure : analysis.structures) {
+    const bool cached = structure.cached.value_or(false);
+    any_cached = any_cached || cached;
+    const auto mib = structure.blob_bytes
+                         ? std::optional(static_cast<double>(*structure.blob_bytes) / (1 << 20))
+                         : std::nullopt;
+    page.row({escaped(structure.model), escaped(structure.algorithm),
+              number(structure.build_ms, 1) + (cached ? " (cached)" : ""), number(mib, 2),
+              count(structure.triangle_count), count(structure.node_count),
+              count(structure.leaf_count), count(structure.ref_count), count(structure.max_depth),
+              number(structure.sah_cost, 2)});
+  }
+  page.line("\nThe builders' parameters are in report.json.{}",
+            any_cached ? " Cached: read from disk; the time is that of its build." : "");
+}
+
+void write_pictures(Page& page, const std::vector<std::string>& image_files) {
+  std::vector<std::string_view> shown;
+  for (const std::string& file : image_files)
+    if (file.ends_with("_montage.png") || file.ends_with("_views.png")) shown.push_back(file);
+  if (shown.empty()) return;
+  page.heading("Pictures");
+  page.line("Heat maps: cost per pixel = 0.5 per box test + 1 per triangle test.\n");
+  for (const std::string_view file : shown) page.line("- [{}]({})", escaped(file), link(file));
+}
+
 void write_more(Page& page, std::size_t total) {
   if (total > list_length) page.line("\n{} more are in report.json.", total - list_length);
 }
@@ -229,23 +301,32 @@ void write_notes(Page& page, const Analysis& analysis) {
   for (const std::string& warning : analysis.warnings) page.line("- {}", escaped(warning));
   if (analysis.events.empty()) return;
   page.heading("Events");
+  std::vector<Event> events;
+  std::copy_if(analysis.events.begin(), analysis.events.end(), std::back_inserter(events),
+               [](const Event& event) { return event.kind != "idle"; });
+  if (const std::string idle = idle_text(analysis); !idle.empty()) page.line("{}\n", idle);
+  if (events.empty()) return;
   page.table({">time \\[s\\]", "severity", "kind", "text"});
-  const std::size_t shown = std::min(analysis.events.size(), list_length);
-  for (const Event& event : std::span(analysis.events).first(shown))
+  const std::size_t shown = std::min(events.size(), list_length);
+  for (const Event& event : std::span(events).first(shown))
     page.row({fmt::format("{:.3f}", static_cast<double>(event.t_ns - analysis.run.begin_ns) * 1e-9),
               std::string(to_string(event.severity)), escaped(event.kind), escaped(event.text)});
-  write_more(page, analysis.events.size());
+  write_more(page, events.size());
 }
 
 }  // namespace
 
-std::string report_md(const RunRecord& run, const Analysis& analysis) {
+std::string report_md(const RunRecord& run, const Analysis& analysis,
+                      const std::vector<std::string>& image_files) {
   Page page;
   write_top(page, run, analysis);
   write_ranking(page, analysis);
   write_cells(page, analysis);
+  write_work(page, analysis);
+  write_structures(page, analysis);
   write_outliers(page, run, analysis);
   write_energy(page, analysis);
+  write_pictures(page, image_files);
   write_sensors(page, analysis);
   write_cost(page, analysis.sampler);
   write_notes(page, analysis);

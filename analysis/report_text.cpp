@@ -34,6 +34,61 @@ std::vector<std::string> sampler_text(const SamplerCost& cost) {
   return lines;
 }
 
+namespace {
+
+/// "48 KiB (12 ways, the host's)"; its parts that are not known are left out.
+std::string cache_words(const nlohmann::json& model, const char* name) {
+  const auto cache = model.find(name);
+  if (cache == model.end() || !cache->is_object()) return "a cache of unknown size";
+  const auto number = [&](const char* key) {
+    const auto found = cache->find(key);
+    return found != cache->end() && found->is_number_integer()
+               ? std::optional<int64_t>(found->get<int64_t>())
+               : std::nullopt;
+  };
+  const auto size_bytes = number("size_bytes");
+  std::string words = "a cache of unknown size";
+  if (size_bytes)
+    words = *size_bytes % (1 << 20) == 0 ? fmt::format("{} MiB", *size_bytes >> 20)
+                                         : fmt::format("{} KiB", *size_bytes >> 10);
+  std::string details;
+  if (const auto ways = number("ways")) details += fmt::format("{} ways, ", *ways);
+  if (const auto line_bytes = number("line_bytes"))
+    details += fmt::format("lines of {} bytes, ", *line_bytes);
+  const auto source = cache->find("source");
+  const std::string from =
+      source != cache->end() && source->is_string() ? source->get<std::string>() : "";
+  details += from == "host"     ? "as the host's CPU has it"
+             : from == "config" ? "from the config"
+                                : "assumed";
+  return fmt::format("{} ({})", words, details);
+}
+
+}  // namespace
+
+std::string cache_text(const Analysis& analysis) {
+  for (const Cell& cell : analysis.cells)
+    if (cell.work.cache_model.is_object())
+      return fmt::format(
+          "Bytes and misses are modelled, not measured: the reads of sampled pixels, replayed "
+          "through an L1 of {} and a last-level cache of {}, both LRU.",
+          cache_words(cell.work.cache_model, "l1"), cache_words(cell.work.cache_model, "llc"));
+  return {};
+}
+
+std::string idle_text(const Analysis& analysis) {
+  std::size_t count = 0;
+  int64_t total_ns = 0;
+  for (const Event& event : analysis.events)
+    if (event.kind == "idle" && event.end_ns) {
+      ++count;
+      total_ns += *event.end_ns - event.t_ns;
+    }
+  if (count == 0) return {};
+  return fmt::format("{}, {} together, in which nothing was submitted.",
+                     counted(count, "idle period"), duration_text(total_ns));
+}
+
 std::string score_text(const Analysis& analysis) {
   const ScoreConfig& score = analysis.score;
   return fmt::format(

@@ -19,6 +19,13 @@ std::string values_text(const SensorSummary& sensor);
 /// One sentence per known number of `cost`; empty when nothing is known.
 std::vector<std::string> sampler_text(const SamplerCost& cost);
 
+/// Which caches the modelled numbers are of, and where their sizes come from; empty where nothing
+/// was modelled.
+std::string cache_text(const Analysis& analysis);
+
+/// How many idle stretches were recorded, and how long they were together; empty if none was.
+std::string idle_text(const Analysis& analysis);
+
 /// How the score is made, with its weights, in one sentence.
 std::string score_text(const Analysis& analysis);
 

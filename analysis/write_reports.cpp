@@ -92,6 +92,7 @@ std::string read_bytes(const fs::path& file) {
   return {std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
 }
 
+/// Pictures by name; only the reference images, which the page shows, with their bytes.
 std::vector<ReportImage> read_images(const fs::path& directory) {
   std::vector<fs::path> files;
   std::error_code none;
@@ -100,8 +101,8 @@ std::vector<ReportImage> read_images(const fs::path& directory) {
   std::sort(files.begin(), files.end());
   std::vector<ReportImage> images;
   for (const fs::path& file : files) {
-    std::string png = read_bytes(file);
-    if (!png.empty()) images.push_back({file.stem().string(), std::move(png)});
+    const std::string title = file.stem().string();
+    images.push_back({title, title.ends_with("_reference") ? read_bytes(file) : std::string()});
   }
   return images;
 }
@@ -114,15 +115,18 @@ std::vector<fs::path> write_reports(const RunRecord& run, const Analysis& analys
   const fs::path json_file = directory / "report.json";
   const fs::path md_file = directory / "report.md";
   const fs::path html_file = directory / "report.html";
+  const std::vector<ReportImage> images = read_images(directory / "images");
+  std::vector<std::string> image_files;
+  for (const ReportImage& image : images) image_files.push_back(image_file(image.title));
   export_timeline(run, timeline_file, timeline);
   write_file(json_file, [&](std::ostream& out) {
     using nlohmann::json;
-    out << report_json(run, analysis).dump(2, ' ', false, json::error_handler_t::replace) << '\n';
+    out << report_json(run, analysis, image_files)
+               .dump(2, ' ', false, json::error_handler_t::replace)
+        << '\n';
   });
-  write_file(md_file, [&](std::ostream& out) { out << report_md(run, analysis); });
-  write_file(html_file, [&](std::ostream& out) {
-    out << report_html(run, analysis, read_images(directory / "images"));
-  });
+  write_file(md_file, [&](std::ostream& out) { out << report_md(run, analysis, image_files); });
+  write_file(html_file, [&](std::ostream& out) { out << report_html(run, analysis, images); });
   return {timeline_file, json_file, md_file, html_file};
 }
 

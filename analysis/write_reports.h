@@ -10,9 +10,9 @@
 namespace energyprof::analysis {
 
 /// Writes timeline.json, report.json, report.md and report.html into `directory` and returns their
-/// paths. Pictures in directory/images/*.png go into the page, by name. Each file appears under its
-/// name only when it is complete. Throws std::runtime_error naming the file and the system's
-/// reason.
+/// paths. Pictures in directory/images/*.png are named in them; the page shows the reference
+/// images. Each file appears under its name only when it is complete. Throws std::runtime_error
+/// naming the file and the system's reason.
 std::vector<std::filesystem::path> write_reports(const RunRecord& run, const Analysis& analysis,
                                                  const std::filesystem::path& directory,
                                                  const TimelineConfig& timeline = {});

@@ -16,7 +16,6 @@
 #include <valijson/validator.hpp>
 
 #include "accel/models.h"
-#include "app/algorithms.h"
 #include "app/usage_error.h"
 #include "embedded/config_schema.h"
 
@@ -164,7 +163,8 @@ std::string expected(const json& node) {
   if (node.contains("enum")) {
     std::string names;
     for (const json& name : node.at("enum"))
-      names += (names.empty() ? "" : ", ") + name.get<std::string>();
+      names +=
+          (names.empty() ? "" : ", ") + (name.is_string() ? name.get<std::string>() : name.dump());
     return names;
   }
   if (node.contains("description")) return node.at("description");
@@ -262,6 +262,22 @@ std::string model_names() {
   return names;
 }
 
+/// Also enters the presets' values into the document, so that what is recorded says everything.
+void read_structures(json& document, Config& c) {
+  json& structures = document.at("structures");
+  c.structures = read_structure_parameters(structures);
+  for (const AccelKind kind : {AccelKind::bvh_depth_first, AccelKind::kd_tree, AccelKind::grid})
+    structures.at(builder_name(kind)).update(describe_parameters(c.structures, kind));
+}
+
+CacheSettings parse_cache_settings(const json& block) {
+  const auto value = [&](const char* key) {
+    return block.contains(key) ? std::optional<int64_t>(block.at(key)) : std::nullopt;
+  };
+  return {value("l1_kib"), value("l1_ways"), value("llc_kib"), value("llc_ways"),
+          value("line_bytes")};
+}
+
 Config interpret(json document, const std::string& file) {
   add_defaults(document, schema());
   Config c;
@@ -289,6 +305,11 @@ Config interpret(json document, const std::string& file) {
   c.repetitions = document.at("order").at("repetitions");
   c.seed = document.at("order").at("seed");
   c.cooldown_max_s = document.at("cooldown").at("max_s");
+  const json& idle = document.at("idle");
+  c.idle = {idle.at("before_s"), idle.at("between_s"), idle.at("after_s")};
+  read_structures(document, c);
+  c.structure_cache = document.at("structure_cache");
+  c.cache_model = parse_cache_settings(document.at("cache_model"));
   c.sampler_rate_hz = document.at("sampler").at("rate_hz");
   if (document.at("sampler").at("sources").is_array())
     c.sources = document.at("sampler").at("sources");
@@ -299,12 +320,6 @@ Config interpret(json document, const std::string& file) {
           "{}: /models/{}: '{}' is not a model; expected {}, teapot:N (N from 1 to 256) or a "
           "path to .ply, .ply.gz or .obj",
           file, i, c.models[i], model_names()));
-  for (size_t i = 0; i < c.algorithms.size(); ++i)
-    if (find_algorithm(c.algorithms[i]) == nullptr)
-      throw UsageError(
-          fmt::format("{}: /algorithms/{}: '{}' is not built yet in this version; "
-                      "available: {}",
-                      file, i, c.algorithms[i], algorithm_names()));
   c.json = std::move(document);
   return c;
 }
@@ -354,11 +369,17 @@ std::string apply_quick(Config& config) {
   cap(config.timed_frames, int64_t{16}, "timed frames");
   cap(config.repetitions, int64_t{1}, "repetitions");
   cap(config.cooldown_max_s, 2.0, "cool-down of at most (s)");
+  cap(config.idle.before_s, 1.0, "idle before (s)");
+  cap(config.idle.between_s, 0.0, "idle between (s)");
+  cap(config.idle.after_s, 1.0, "idle after (s)");
   config.json["image"] = {{"width", config.width}, {"height", config.height}};
   config.json["frames"]["warmup"] = config.warmup_frames;
   config.json["frames"]["timed"] = config.timed_frames;
   config.json["order"]["repetitions"] = config.repetitions;
   config.json["cooldown"]["max_s"] = config.cooldown_max_s;
+  config.json["idle"] = {{"before_s", config.idle.before_s},
+                         {"between_s", config.idle.between_s},
+                         {"after_s", config.idle.after_s}};
   return changes;
 }
 

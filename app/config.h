@@ -11,6 +11,8 @@
 #include <variant>
 #include <vector>
 
+#include "app/structure_parameters.h"
+
 namespace energyprof::app {
 
 /// A camera on an orbit around `target`; angles in radians, lengths in the model's units.
@@ -23,6 +25,22 @@ struct ViewConfig {
 
 /// A number of one of the model's own views, or a view of the config.
 using ViewChoice = std::variant<int, ViewConfig>;
+
+/// What the config says of the caches to model; absent: the host's, or assumed.
+struct CacheSettings {
+  std::optional<int64_t> l1_kib;
+  std::optional<int64_t> l1_ways;
+  std::optional<int64_t> llc_kib;
+  std::optional<int64_t> llc_ways;
+  std::optional<int64_t> line_bytes;
+};
+
+/// How long the machine is left idle, in seconds.
+struct IdleTimes {
+  double before_s = 5.0;   ///< before the first trial
+  double between_s = 1.0;  ///< before every other
+  double after_s = 5.0;    ///< after the last
+};
 
 struct Config {
   std::string file;  ///< as the user gave it, for messages
@@ -41,6 +59,10 @@ struct Config {
   int64_t repetitions = 1;
   uint32_t seed = 1;
   double cooldown_max_s = 60.0;
+  IdleTimes idle;
+  accel::StructureConfig structures;
+  bool structure_cache = true;  ///< keep built structures on disk
+  CacheSettings cache_model;
   double sampler_rate_hz = 997.0;
   std::vector<std::string> sources;   ///< empty: all
   std::vector<std::string> required;  ///< quantities without which the run is refused

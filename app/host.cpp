@@ -2,6 +2,7 @@
 
 #include <sys/utsname.h>
 
+#include <charconv>
 #include <ctime>
 #include <fstream>
 #include <optional>
@@ -10,7 +11,7 @@
 namespace energyprof::app {
 namespace {
 
-std::optional<std::string> first_line(const char* file) {
+std::optional<std::string> first_line(const std::filesystem::path& file) {
   std::ifstream in(file);
   std::string line;
   if (!std::getline(in, line) || line.empty()) return std::nullopt;
@@ -29,6 +30,23 @@ std::optional<std::string> value_of(const char* file, const std::string& key, ch
     if (begin != std::string::npos) return line.substr(begin, end - begin + 1);
   }
   return std::nullopt;
+}
+
+/// The number at the beginning of a file's first line; absent unless it is above 0.
+std::optional<int64_t> number_in(const std::filesystem::path& file) {
+  const std::string line = first_line(file).value_or("");
+  int64_t value = 0;
+  std::from_chars(line.data(), line.data() + line.size(), value);
+  return value > 0 ? std::optional(value) : std::nullopt;
+}
+
+/// "48K", "32768K": sizes are in KiB.
+std::optional<HostCache> read_cache(const std::filesystem::path& dir) {
+  const auto size_kib = number_in(dir / "size");
+  const auto ways = number_in(dir / "ways_of_associativity");
+  const auto line_bytes = number_in(dir / "coherency_line_size");
+  if (!size_kib || !ways || !line_bytes) return std::nullopt;
+  return HostCache{*size_kib * 1024, *ways, *line_bytes};
 }
 
 nlohmann::json or_null(const std::optional<std::string>& text) {
@@ -53,6 +71,22 @@ nlohmann::json describe_host() {
   host["governor"] = or_null(first_line("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"));
   host["platform_profile"] = or_null(first_line("/sys/firmware/acpi/platform_profile"));
   return host;
+}
+
+HostCaches read_host_caches(const std::filesystem::path& root) {
+  HostCaches caches;
+  int64_t last_level = 1;
+  for (int i = 0;; ++i) {
+    const std::filesystem::path dir =
+        root / "sys/devices/system/cpu/cpu0/cache" / ("index" + std::to_string(i));
+    const auto level = number_in(dir / "level");
+    if (!level) return caches;
+    if (first_line(dir / "type") == "Instruction") continue;
+    if (*level == 1) caches.l1 = read_cache(dir);
+    if (*level <= last_level) continue;
+    last_level = *level;
+    caches.last_level = read_cache(dir);
+  }
 }
 
 std::string utc_now() {

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "accel/gpu_triangles.h"
 #include "accel/models.h"
 
 namespace energyprof::app {
@@ -33,6 +34,7 @@ Scene load_scene(const std::string& name, const std::function<void(std::string_v
   scene.scale = power_of_two_scale(scene.mesh);
   for (glm::vec3& position : scene.mesh.positions)
     position = glm::vec3(glm::dvec3(position) * scene.scale);
+  scene.triangles = accel::gpu_triangles(scene.mesh);
   return scene;
 }
 

@@ -14,11 +14,13 @@ namespace energyprof::app {
 /// A loaded model. Its mesh is scaled by a power of two to a largest extent in [1, 2): every
 /// coordinate keeps its digits, and traversal works at one scale whatever the model's units.
 struct Scene {
-  std::string model;              ///< as named in the config
-  accel::Mesh mesh;               ///< scaled
-  double scale = 1.0;             ///< scaled coordinate / model coordinate
-  double ray_t_min = 1e-4;        ///< in the model's units
-  std::vector<ViewConfig> views;  ///< the model's own, in the model's units
+  std::string model;                     ///< as named in the config
+  accel::Mesh mesh;                      ///< scaled
+  std::vector<gpu::Triangle> triangles;  ///< of the mesh; all structures share them
+  double scale = 1.0;                    ///< scaled coordinate / model coordinate
+  double ray_t_min = 1e-4;               ///< in the model's units
+  std::vector<ViewConfig> views;         ///< the model's own, in the model's units
+  std::string failure;                   ///< not empty: why the model could not be had
 };
 
 /// Loads `name`, fetching it if need be; `progress` hears what takes time.

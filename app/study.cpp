@@ -4,29 +4,28 @@
 #include <fmt/std.h>
 
 #include <algorithm>
-#include <cctype>
-#include <cmath>
 #include <fstream>
-#include <map>
+#include <functional>
 #include <memory>
 #include <new>
 #include <optional>
-#include <set>
 #include <thread>
 
-#include "accel/validate.h"
+#include "accel/cache_model.h"
 #include "analysis/stats.h"
-#include "app/algorithms.h"
+#include "app/cache_choice.h"
+#include "app/heat_map.h"
 #include "app/host.h"
 #include "app/interrupt.h"
-#include "app/png.h"
+#include "app/pictures.h"
 #include "app/progress.h"
 #include "app/scene.h"
 #include "app/sensors.h"
+#include "app/structure_store.h"
 #include "app/trial_order.h"
+#include "core/algorithms.h"
 #include "core/clock.h"
 #include "core/run_db.h"
-#include "core/trace_math.h"
 #include "kernels/device.h"
 #include "kernels/runner.h"
 
@@ -39,6 +38,7 @@ constexpr double cooldown_band_c =
     5.0;  // a trial begins within this of the run's first temperature
 constexpr int reference_frame_limit = 64;
 constexpr int64_t reference_time_limit_ns = 3 * ns_per_s;
+constexpr auto wait_step = std::chrono::milliseconds(20);  // between looks at Ctrl-C
 
 nlohmann::json to_json(const kernels::DeviceInfo& info) {
   nlohmann::json j{{"name", info.name},
@@ -58,54 +58,16 @@ nlohmann::json to_json(const kernels::DeviceInfo& info) {
   return j;
 }
 
-/// Letters, digits, '.', '-' and '_' of `text`; the rest becomes '_'.
-std::string file_name_part(std::string_view text) {
-  std::string name;
-  for (const char c : text)
-    name += std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '.' || c == '-' ? c : '_';
-  return name;
-}
-
-/// Averages frames into a picture: a miss is white, each hit halves the light.
-class ReferenceImage {
- public:
-  ReferenceImage(uint32_t width, uint32_t height)
-      : width_(width), height_(height), light_(size_t{width} * height, 0.0f) {}
-
-  void add(const std::vector<gpu::PixelHits>& hits) {
-    for (size_t i = 0; i < light_.size(); ++i) {
-      float light = 1.0f;
-      if (hits[i].primary_id != 0) {
-        light = 0.5f;
-        if (hits[i].bounce_id != 0 && hits[i].bounce_id != gpu::ray_absent) light = 0.25f;
-      }
-      light_[i] += light;
-    }
-    ++frame_count_;
-  }
-
-  void write(const fs::path& file) const {
-    std::vector<uint8_t> rgb;
-    rgb.reserve(light_.size() * 3);
-    for (const float sum : light_) {
-      const float value = sum / static_cast<float>(frame_count_);
-      rgb.insert(rgb.end(), 3, static_cast<uint8_t>(std::lround(255.0f * value)));
-    }
-    write_png(file, width_, height_, rgb);
-  }
-
- private:
-  uint32_t width_;
-  uint32_t height_;
-  std::vector<float> light_;  // sums over frames
-  int frame_count_ = 0;
-};
-
 /// One study from its first file to its last.
 class Study {
  public:
   Study(const Config& config, const StudyOptions& options)
-      : config_(config), options_(options), sensors_(options.root, config) {}
+      : config_(config),
+        options_(options),
+        sensors_(options.root, config),
+        structures_({config.structures, config.structure_cache,
+                     [this](const std::string& why) { warn("cache", why); }}),
+        pictures_(options.out / "images") {}
 
   StudyResult run() {
     create_run_dir(options_.out);
@@ -140,22 +102,36 @@ class Study {
     fs::remove(options_.out, ignored);
   }
 
+  /// A model that cannot be had costs its trials, unless no model can be had.
   void load_scenes() {
-    for (const std::string& model : config_.models) {
-      Scene scene = load_scene(model, [this](std::string_view text) { note(text); });
-      // Two files of the same name in different folders are told apart by their paths.
-      if (std::any_of(scenes_.begin(), scenes_.end(),
-                      [&](const Scene& other) { return other.model == scene.model; }))
-        scene.model = model;
-      scenes_.push_back(std::move(scene));
-      for (const ViewChoice& view : config_.views) resolve_view(scenes_.back(), view);
+    for (const std::string& model : config_.models) scenes_.push_back(load_or_explain(model));
+    const auto failed = [](const Scene& scene) { return !scene.failure.empty(); };
+    if (std::all_of(scenes_.begin(), scenes_.end(), failed))
+      throw std::runtime_error(scenes_.front().failure);
+    for (const Scene& scene : scenes_)
+      if (failed(scene)) note(fmt::format("without {}: {}", scene.model, scene.failure));
+  }
+
+  Scene load_or_explain(const std::string& model) {
+    Scene scene;
+    try {
+      scene = load_scene(model, [this](std::string_view text) { note(text); });
+    } catch (const std::runtime_error& error) {
+      scene.model = model;
+      scene.failure = error.what();
     }
+    // Two files of the same name in different folders are told apart by their paths.
+    if (std::any_of(scenes_.begin(), scenes_.end(),
+                    [&](const Scene& other) { return other.model == scene.model; }))
+      scene.model = model;
+    return scene;
   }
 
   void open_device() {
     device_.reset();  // the old one first: a lost device must be gone before its successor
     device_ = std::make_unique<kernels::Device>(
         kernels::DeviceRequest{options_.device, options_.validation});
+    caches_ = choose_caches(config_.cache_model, device_->info(), read_host_caches());
   }
 
   void start_recording() {
@@ -208,8 +184,14 @@ class Study {
     progress_config.live_values = [this] { return sensors_.live_values(); };
     progress_ = std::make_unique<Progress>(std::move(progress_config));
 
-    for (size_t i = 0; i < plan.size() && !InterruptGuard::requested(); ++i)
+    for (size_t i = 0; i < plan.size() && !InterruptGuard::requested(); ++i) {
       run_trial(plan[i], i, plan.size());
+      const bool is_last = i + 1 == plan.size() || InterruptGuard::requested();
+      if (is_last || plan[i + 1].model != plan[i].model || plan[i + 1].view != plan[i].view)
+        finish_view(plan[i]);
+    }
+    if (idle_before_count_ > 0) idle(config_.idle.after_s);
+    picture([this] { pictures_.finish(); });
     progress_.reset();
     result_.interrupted = InterruptGuard::requested();
   }
@@ -225,49 +207,37 @@ class Study {
 
   void run_trial(const PlannedTrial& planned, size_t position, size_t trial_count) {
     const Scene& scene = scenes_[planned.model];
-    const std::string& algorithm = config_.algorithms[planned.algorithm];
     Trial trial;
     trial.id = static_cast<int64_t>(position) + 1;
     trial.model = scene.model;
     trial.view = view_number(planned.view);
-    trial.algorithm = algorithm;
+    trial.algorithm = config_.algorithms[planned.algorithm];
     trial.repetition = planned.repetition;
     trial.position = static_cast<int64_t>(position);
     trial.width = config_.width;
     trial.height = config_.height;
-    trial.triangle_count = static_cast<int64_t>(scene.mesh.triangles.size());
 
     progress_->begin_trial(fmt::format("[{}/{}] {} view {} {}", position + 1, trial_count,
                                        trial.model, trial.view, trial.algorithm));
     const int64_t frames_before = frames_done_;
     std::string outcome;
     try {
-      const accel::Built& built = blob_of(planned);
-      trial.build_ns = built.stats.build_ns;
-      trial.blob_bytes = built.stats.blob_bytes;
-      trial.node_count = built.stats.node_count;
-      trial.leaf_count = built.stats.leaf_count;
-      trial.max_depth = built.stats.max_depth;
-      trial.sah_cost = built.stats.sah_cost;
-      cool_down();
-      trial.begin_ns = now_ns();
-      writer_->put_trial(trial);
-      outcome = trace(planned, trial, built.blob);
+      prepare_and_trace(planned, trial, outcome);
     } catch (const kernels::DeviceLost& error) {
-      trial.skip_reason = error.what();
+      fail(trial, error.what());
       replace_device(error.what());
     } catch (const kernels::OutOfMemory& error) {
-      trial.skip_reason = error.what();
+      fail(trial, error.what());
       replace_device(error.what());
     } catch (const std::bad_alloc&) {
-      trial.skip_reason = "the host is out of memory";
+      fail(trial, "the host is out of memory");
     } catch (const RecordingFailed&) {
       throw;
     } catch (const std::runtime_error& error) {
-      trial.skip_reason = error.what();
+      fail(trial, error.what());
     }
     if (trial.begin_ns == 0) trial.begin_ns = now_ns();
-    trial.end_ns = now_ns();
+    if (!trial.end_ns) trial.end_ns = now_ns();
     writer_->put_trial(trial);
     for (Event& event : sensors_.drain_events()) writer_->add_event(std::move(event));
 
@@ -280,24 +250,77 @@ class Study {
     progress_->end_trial(outcome, frames_per_trial_ - (frames_done_ - frames_before));
   }
 
-  /// Warm-up, timed and counted frames of one trial; its result in words.
-  std::string trace(const PlannedTrial& planned, const Trial& trial, const AccelBlob& blob) {
-    const Scene& scene = scenes_[planned.model];
-    const ViewConfig view = resolve_view(scene, config_.views[planned.view]);
-    kernels::TraceSetup setup{
-        blob,
-        std::string(find_algorithm(trial.algorithm)->kernel),
-        frame_constants(scene, view, config_.width, config_.height, config_.bounces, config_.seed),
-        {}};
-    kernels::TraceProgram program(*device_, setup);
+  /// What goes wrong once a trial's frames are done costs an event, not the trial.
+  void fail(Trial& trial, const std::string& why) {
+    if (trial.end_ns)
+      writer_->add_event(
+          {now_ns(), std::nullopt, Severity::warning, "after-trial", std::nullopt, why});
+    else
+      trial.skip_reason = why;
+  }
 
+  /// One trial from its structure to its pictures; `outcome` is its result in words.
+  void prepare_and_trace(const PlannedTrial& planned, Trial& trial, std::string& outcome) {
+    const Scene& scene = scenes_[planned.model];
+    if (!scene.failure.empty()) throw std::runtime_error(scene.failure);
+    trial.triangle_count = static_cast<int64_t>(scene.mesh.triangles.size());
+    const AlgorithmInfo& algorithm = *find_algorithm(trial.algorithm);
+    const Structure& structure = structures_.get(scene, algorithm.kind);
+    describe(structure, trial);
+    cool_down();
+    idle(idle_before_count_ == 0 ? config_.idle.before_s : config_.idle.between_s);
+    ++idle_before_count_;
+    trial.begin_ns = now_ns();
+    writer_->put_trial(trial);
+
+    const kernels::TraceSetup setup{
+        .blob = structure.built.blob,
+        .triangles = scene.triangles,
+        .kernel = trial.algorithm,
+        .constants = frame_constants(scene, resolve_view(scene, config_.views[planned.view]),
+                                     config_.width, config_.height, config_.bounces, config_.seed),
+        .config = {}};
+    outcome = trace(setup, trial);
+    if (trial.repetition != 0 || InterruptGuard::requested()) return;
+    picture([&] { draw_heat_map(setup, trial); });
+    model_caches(setup, trial);
+  }
+
+  /// The frames of a trial, and the view's reference image if there is none yet; in words.
+  std::string trace(const kernels::TraceSetup& setup, Trial& trial) {
+    kernels::TraceProgram program(*device_, setup);
+    const std::vector<double> timed_ms = run_frames(program, trial);
+    trial.end_ns = now_ns();
+    writer_->put_trial(trial);
+    if (InterruptGuard::requested()) return "interrupted";
+    picture([&] {
+      if (!pictures_.has_reference(trial.model, trial.view)) render_reference(program, trial);
+    });
+    return fmt::format("{} frames, median {:.2f} ms", timed_ms.size(), analysis::median(timed_ms));
+  }
+
+  static void describe(const Structure& structure, Trial& trial) {
+    const BuildStats& stats = structure.built.stats;
+    trial.build_ns = stats.build_ns;
+    trial.build_config = structure.parameters;
+    trial.build_cached = structure.cached;
+    trial.blob_bytes = stats.blob_bytes;
+    trial.node_count = stats.node_count;
+    trial.leaf_count = stats.leaf_count;
+    trial.ref_count = stats.ref_count;
+    if (structure.built.blob.kind != AccelKind::grid) trial.max_depth = stats.max_depth;
+    trial.sah_cost = stats.sah_cost;
+  }
+
+  /// Warm-up, timed and counted frames; the times of the timed ones, fewer after Ctrl-C.
+  std::vector<double> run_frames(kernels::TraceProgram& program, const Trial& trial) {
     std::vector<double> timed_ms;
     int64_t next_frame_ns = now_ns();
     for (int64_t frame = 0; frame < frames_per_trial_; ++frame) {
       const Phase phase = frame < config_.warmup_frames   ? Phase::warmup
                           : frame < frames_per_trial_ - 1 ? Phase::timed
                                                           : Phase::counted;
-      if (InterruptGuard::requested()) return "interrupted";
+      if (InterruptGuard::requested()) break;
       next_frame_ns = pace(next_frame_ns);
       FrameRecord record = program.run_frame(static_cast<uint32_t>(frame), phase);
       record.id = ++frame_id_;
@@ -309,8 +332,7 @@ class Study {
       progress_->frame_done();
       check_recording();
     }
-    if (images_.insert({planned.model, planned.view}).second) picture(program, trial);
-    return fmt::format("{} frames, median {:.2f} ms", timed_ms.size(), analysis::median(timed_ms));
+    return timed_ms;
   }
 
   /// Waits for the next frame's turn; returns the turn after it.
@@ -323,10 +345,12 @@ class Study {
            static_cast<int64_t>(static_cast<double>(ns_per_s) / *config_.frames_per_second);
   }
 
-  /// The view's picture. A picture that cannot be written costs an event, not the trial.
-  void picture(kernels::TraceProgram& program, const Trial& trial) {
+  // ---------------------------------------------------------------- beside the timed frames
+
+  /// A picture that cannot be made costs an event.
+  void picture(const std::function<void()>& make) {
     try {
-      write_reference(program, trial);
+      make();
     } catch (const kernels::DeviceLost&) {
       throw;
     } catch (const kernels::OutOfMemory&) {
@@ -337,32 +361,64 @@ class Study {
     }
   }
 
-  void write_reference(kernels::TraceProgram& program, const Trial& trial) {
-    ReferenceImage image(config_.width, config_.height);
+  /// What the primary rays of the counted frame cost: with the bounce rays the study's colour scale
+  /// would not reach.
+  void draw_heat_map(kernels::TraceSetup setup, const Trial& trial) {
+    setup.constants.bounce_count = 0;
+    kernels::TraceProgram program(*device_, setup);
+    static_cast<void>(
+        program.run_frame(static_cast<uint32_t>(frames_per_trial_ - 1), Phase::counted));
+    pictures_.add_heat_map(trial.model, trial.view, trial.algorithm,
+                           heat_map(program.read_counts(), config_.width, config_.height,
+                                    heat_full_scale(trial.model)));
+  }
+
+  void render_reference(kernels::TraceProgram& program, const Trial& trial) {
+    ReferenceImage reference(config_.width, config_.height);
     const int64_t begin_ns = now_ns();
     for (int i = 0; i < reference_frame_limit; ++i) {
       const auto frame = static_cast<uint32_t>(frames_per_trial_ + i);
       static_cast<void>(program.run_frame(frame, Phase::warmup));
-      image.add(program.read_hits());
+      reference.add(program.read_hits());
       if (InterruptGuard::requested() || now_ns() - begin_ns > reference_time_limit_ns) break;
     }
-    const std::string name =
-        fmt::format("{}_view{}_reference.png", file_name_part(trial.model), trial.view);
-    image.write(options_.out / "images" / name);
+    pictures_.add_reference(trial.model, trial.view, reference.image());
   }
 
-  const accel::Built& blob_of(const PlannedTrial& planned) {
-    const auto key = std::pair(planned.model, planned.algorithm);
-    auto found = blobs_.find(key);
-    if (found == blobs_.end()) {
-      const Algorithm& algorithm = *find_algorithm(config_.algorithms[planned.algorithm]);
-      accel::Built built = algorithm.build(scenes_[planned.model].mesh);
-      if (const auto violations = accel::validate(built.blob); !violations.empty())
-        throw std::logic_error(fmt::format("the {} of {} is broken: {}", algorithm.name,
-                                           scenes_[planned.model].model, violations.front()));
-      found = blobs_.emplace(key, std::move(built)).first;
-    }
-    return found->second;
+  void finish_view(const PlannedTrial& planned) {
+    picture(
+        [&] { pictures_.finish_view(scenes_[planned.model].model, view_number(planned.view)); });
+  }
+
+  /// Cache misses of the frame that was counted.
+  void model_caches(const kernels::TraceSetup& setup, Trial& trial) const {
+    gpu::FrameConstants constants = setup.constants;
+    constants.frame = static_cast<uint32_t>(frames_per_trial_ - 1);
+    const accel::CacheModelResult result = accel::model_cache(
+        trial.algorithm, accel::CpuScene{setup.blob, setup.triangles}, constants, caches_.model);
+    trial.bytes_per_pixel = result.bytes_per_pixel;
+    trial.l1_misses_per_ray = result.l1_misses_per_ray;
+    trial.llc_misses_per_ray = result.llc_misses_per_ray;
+    trial.footprint_bytes = result.footprint_bytes;
+    trial.cache_model = app::describe(caches_, result).dump();
+  }
+
+  /// Leaves the machine alone for a while, so that the sensors show what idling takes.
+  void idle(double seconds) {
+    if (seconds <= 0.0 || InterruptGuard::requested()) return;
+    const int64_t begin_ns = now_ns();
+    const int64_t end_ns = begin_ns + static_cast<int64_t>(seconds * 1e9);
+    while (!InterruptGuard::requested() && now_ns() < end_ns)
+      std::this_thread::sleep_for(std::min<std::chrono::nanoseconds>(
+          wait_step, std::chrono::nanoseconds(end_ns - now_ns())));
+    writer_->add_event(
+        {begin_ns, now_ns(), Severity::info, "idle", std::nullopt, "nothing was submitted"});
+  }
+
+  /// A warning for the record and, in one line, for stderr.
+  void warn(const std::string& kind, const std::string& why) {
+    writer_->add_event({now_ns(), std::nullopt, Severity::warning, kind, std::nullopt, why});
+    progress_->note(why);
   }
 
   /// After a lost device or a failed allocation: the next trial starts on a new device.
@@ -435,14 +491,16 @@ class Study {
   std::unique_ptr<kernels::Device> device_;
   std::unique_ptr<RunWriter> writer_;
   std::unique_ptr<Progress> progress_;
-  std::map<std::pair<size_t, size_t>, accel::Built> blobs_;  // by model and algorithm
-  std::set<std::pair<size_t, size_t>> images_;               // model and view already pictured
+  StructureStore structures_;
+  CacheChoice caches_;
+  Pictures pictures_;
   std::vector<std::string> validation_messages_;
   std::optional<double> first_temperature_c_;
   StudyResult result_;
   int64_t frames_per_trial_ = 0;
   int64_t frames_done_ = 0;
   int64_t frame_id_ = 0;
+  int64_t idle_before_count_ = 0;
 };
 
 }  // namespace

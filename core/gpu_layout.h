@@ -21,11 +21,30 @@ using glm::vec4;
 #endif
 
 // 32 bytes. The words in .w are integers stored as float bits.
-//   min_link.w: primitive id of a leaf (>= 0), or -(split axis + 1) of an inner node
-//   max_link.w: inner node: index of the right child; the left one is the next node
+//   min_link.w: inner node: -(split axis + 1); leaf: its first entry in refs, or its only
+//   triangle's
+//               id where there are no refs (>= 0)
+//   max_link.w: inner node: the link, see AccelKind; leaf: its number of triangles
 struct BvhNode {
   vec4 min_link;
   vec4 max_link;
+};
+
+const uint kd_leaf = 3u;
+const uint no_node = 0xFFFFFFFFu;  // below the first entry of a stack
+
+// 8 bytes. Low two bits of `word`: split axis of an inner node, or kd_leaf.
+//   inner node: split plane as float bits; word >> 2: the child above the plane
+//   leaf: its first entry in refs;         word >> 2: its number of triangles
+struct KdNode {
+  uint plane_or_first;
+  uint word;
+};
+
+// 8 bytes. The triangles of a cell: refs[first .. first + count).
+struct GridCell {
+  uint count;
+  uint first;
 };
 
 // 48 bytes. Corner and edges of a triangle; .w of the three hold its normal cross(e1, e2).
@@ -42,9 +61,9 @@ struct Triangle {
 struct FrameConstants {
   vec4 origin_tmin;  // camera position, t_min of every ray
   vec4 right_tmax;   // t_max of every ray in .w
-  vec4 up;
+  vec4 up;           // cells of the grid along x, y and z in .w of this and the next two
   vec4 forward;
-  vec4 bounds_min;  // of the scene
+  vec4 bounds_min;  // of the structure
   vec4 bounds_max;
   uint width;
   uint height;
@@ -65,20 +84,31 @@ struct PixelHits {
   uint bounce_t;
 };
 
-// What one pixel cost in a counted frame, both rays together.
+// What one pixel cost in a counted frame, both rays together. A node visit is a node (a cell, in a
+// grid) that was looked at; a box test is a ray against a box, a primitive test against a triangle.
 struct PixelCounts {
   uint node_visits;
   uint box_tests;
   uint prim_tests;
-  uint loop_steps;  // iterations of the traversal loop: lavapipe ends loops at 65,535
+  uint loop_steps;  // iterations of the traversal's loops
+};
+
+// For SIMD efficiency: with whom a pixel's thread ran. A buffer of its own, because 24 bytes a
+// pixel in one would not fit small devices at 3840x2160.
+struct PixelLanes {
+  uint bounce_loop_steps;  // of PixelCounts::loop_steps, the bounce ray's
+  uint subgroup;           // the thread's subgroup in its workgroup
 };
 
 #ifdef __cplusplus
 static_assert(sizeof(BvhNode) == 32);
+static_assert(sizeof(KdNode) == 8);
+static_assert(sizeof(GridCell) == 8);
 static_assert(sizeof(Triangle) == 48);
 static_assert(sizeof(FrameConstants) == 128);
 static_assert(sizeof(PixelHits) == 16);
 static_assert(sizeof(PixelCounts) == 16);
+static_assert(sizeof(PixelLanes) == 8);
 }  // namespace energyprof::gpu
 #endif
 

@@ -53,7 +53,11 @@ struct FrameRecord {
   std::optional<int64_t> node_visit_count;  ///< counted frames only
   std::optional<int64_t> box_test_count;    ///< counted frames only
   std::optional<int64_t> prim_test_count;   ///< counted frames only
-  std::optional<int64_t> dispatch_count;    ///< row tiles the frame was cut into
+  std::optional<int64_t> loop_step_count;   ///< counted frames only
+  /// Of the counted frame: sum over lanes of loop steps, divided by the sum over lanes of the most
+  /// steps that a lane of the same subgroup took, ray kind by ray kind. 1 is best.
+  std::optional<double> simd_efficiency;
+  std::optional<int64_t> dispatch_count;  ///< row tiles the frame was cut into
 };
 
 /// One algorithm on one model from one view: warm-up frames, timed frames, a counted frame.
@@ -72,10 +76,20 @@ struct Trial {
   std::optional<int64_t> triangle_count;
   std::optional<int64_t> node_count;
   std::optional<int64_t> leaf_count;
+  std::optional<int64_t> ref_count;  ///< triangles in leaves, repetitions included
   std::optional<int64_t> max_depth;
   std::optional<double> sah_cost;
+  std::string build_config;          ///< the builder's parameters, a JSON object; empty = unknown
+  std::optional<bool> build_cached;  ///< the structure was read from disk; build_ns is the build's
   std::optional<int64_t> width;
   std::optional<int64_t> height;
+  // The next four are modelled, not measured: docs/method.md. First repetition of a cell only.
+  /// Different cache lines that the rays of a pixel read, times their size; mean.
+  std::optional<double> bytes_per_pixel;
+  std::optional<double> l1_misses_per_ray;
+  std::optional<double> llc_misses_per_ray;
+  std::optional<int64_t> footprint_bytes;  ///< likewise of all sampled pixels together
+  std::string cache_model;                 ///< what was modelled, a JSON object; empty = nothing
 };
 
 enum class Severity : uint8_t { info, warning, error };

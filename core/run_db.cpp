@@ -26,11 +26,15 @@ CREATE TABLE samples(channel_id INTEGER, t_ns INTEGER, value NUMERIC);
 CREATE TABLE trials(id INTEGER PRIMARY KEY, model TEXT, view INTEGER, algorithm TEXT,
     repetition INTEGER, position INTEGER, begin_ns INTEGER, end_ns INTEGER, skip_reason TEXT,
     build_ns INTEGER, blob_bytes INTEGER, triangle_count INTEGER, node_count INTEGER,
-    leaf_count INTEGER, max_depth INTEGER, sah_cost REAL, width INTEGER, height INTEGER);
+    leaf_count INTEGER, max_depth INTEGER, sah_cost REAL, width INTEGER, height INTEGER,
+    ref_count INTEGER, build_config TEXT, build_cached INTEGER, bytes_per_pixel_modelled REAL,
+    l1_misses_per_ray_modelled REAL, llc_misses_per_ray_modelled REAL,
+    footprint_bytes_modelled INTEGER, cache_model TEXT);
 CREATE TABLE frames(id INTEGER PRIMARY KEY, trial_id INTEGER, frame INTEGER, phase TEXT,
     submit_ns INTEGER, begin_ns INTEGER, end_ns INTEGER, clock_error_ns INTEGER,
     ray_count INTEGER, hit_count INTEGER, hit_checksum TEXT, node_visit_count INTEGER,
-    prim_test_count INTEGER, box_test_count INTEGER, dispatch_count INTEGER);
+    prim_test_count INTEGER, box_test_count INTEGER, dispatch_count INTEGER,
+    loop_step_count INTEGER, simd_efficiency REAL);
 CREATE TABLE events(t_ns INTEGER, end_ns INTEGER, severity TEXT, kind TEXT, channel_id INTEGER,
     text TEXT);
 )sql";
@@ -50,6 +54,13 @@ struct Batch {
   }
 };
 
+/// "?,?,...": `count` of them.
+std::string parameters(size_t count) {
+  std::string list = "?";
+  for (size_t i = 1; i < count; ++i) list += ",?";
+  return list;
+}
+
 /// The statements that write a batch; prepared once.
 class Inserter {
  public:
@@ -58,8 +69,8 @@ class Inserter {
         meta_(db, "INSERT OR REPLACE INTO meta VALUES(?,?)"),
         channel_(db, "INSERT OR REPLACE INTO channels VALUES(?,?,?,?,?,?,?,?,?,?)"),
         sample_(db, "INSERT INTO samples VALUES(?,?,?)"),
-        trial_(db, "INSERT OR REPLACE INTO trials VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)"),
-        frame_(db, "INSERT INTO frames VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)"),
+        trial_(db, "INSERT OR REPLACE INTO trials VALUES(" + parameters(26) + ")"),
+        frame_(db, "INSERT INTO frames VALUES(" + parameters(17) + ")"),
         event_(db, "INSERT INTO events VALUES(?,?,?,?,?,?)") {}
 
   /// All of `batch` in one transaction, or nothing of it.
@@ -116,6 +127,14 @@ class Inserter {
         .bind(trial.sah_cost)
         .bind(trial.width)
         .bind(trial.height)
+        .bind(trial.ref_count)
+        .bind_text_or_null(trial.build_config)
+        .bind(trial.build_cached ? std::optional<int64_t>(*trial.build_cached) : std::nullopt)
+        .bind(trial.bytes_per_pixel)
+        .bind(trial.l1_misses_per_ray)
+        .bind(trial.llc_misses_per_ray)
+        .bind(trial.footprint_bytes)
+        .bind_text_or_null(trial.cache_model)
         .run();
   }
 
@@ -135,6 +154,8 @@ class Inserter {
         .bind(frame.prim_test_count)
         .bind(frame.box_test_count)
         .bind(frame.dispatch_count)
+        .bind(frame.loop_step_count)
+        .bind(frame.simd_efficiency)
         .run();
   }
 
@@ -352,6 +373,11 @@ std::string select(Database& db, const std::string& table, const std::vector<std
   return fmt::format("SELECT {} FROM {} ORDER BY {}", list, table, order_by);
 }
 
+std::optional<double> optional_real(const Statement& s, int column) {
+  if (s.is_null(column)) return std::nullopt;
+  return s.real(column);
+}
+
 template <class T>
 T parse_name(std::optional<T> parsed, std::string_view column, const std::string& text) {
   if (!parsed) throw std::runtime_error(fmt::format("{} '{}' is not known", column, text));
@@ -426,7 +452,9 @@ void read_trials(Database& db, RunRecord& run) {
                          {"id", "model", "view", "algorithm", "repetition", "position", "begin_ns",
                           "end_ns", "skip_reason", "build_ns", "blob_bytes"},
                          {"triangle_count", "node_count", "leaf_count", "max_depth", "sah_cost",
-                          "width", "height"},
+                          "width", "height", "ref_count", "build_config", "build_cached",
+                          "bytes_per_pixel_modelled", "l1_misses_per_ray_modelled",
+                          "llc_misses_per_ray_modelled", "footprint_bytes_modelled", "cache_model"},
                          "begin_ns, id"));
   while (s.next()) {
     Trial t;
@@ -445,9 +473,17 @@ void read_trials(Database& db, RunRecord& run) {
     t.node_count = s.optional_integer(12);
     t.leaf_count = s.optional_integer(13);
     t.max_depth = s.optional_integer(14);
-    if (!s.is_null(15)) t.sah_cost = s.real(15);
+    t.sah_cost = optional_real(s, 15);
     t.width = s.optional_integer(16);
     t.height = s.optional_integer(17);
+    t.ref_count = s.optional_integer(18);
+    t.build_config = s.text(19);
+    if (const auto cached = s.optional_integer(20)) t.build_cached = *cached != 0;
+    t.bytes_per_pixel = optional_real(s, 21);
+    t.l1_misses_per_ray = optional_real(s, 22);
+    t.llc_misses_per_ray = optional_real(s, 23);
+    t.footprint_bytes = s.optional_integer(24);
+    t.cache_model = s.text(25);
     run.trials.push_back(std::move(t));
   }
 }
@@ -457,7 +493,8 @@ void read_frames(Database& db, RunRecord& run) {
                          {"id", "trial_id", "frame", "phase", "submit_ns", "begin_ns", "end_ns",
                           "clock_error_ns", "ray_count", "hit_count", "hit_checksum",
                           "node_visit_count", "prim_test_count"},
-                         {"box_test_count", "dispatch_count"}, "begin_ns, id"));
+                         {"box_test_count", "dispatch_count", "loop_step_count", "simd_efficiency"},
+                         "begin_ns, id"));
   while (s.next()) {
     FrameRecord f;
     f.id = s.integer(0);
@@ -475,6 +512,8 @@ void read_frames(Database& db, RunRecord& run) {
     f.prim_test_count = s.optional_integer(12);
     f.box_test_count = s.optional_integer(13);
     f.dispatch_count = s.optional_integer(14);
+    f.loop_step_count = s.optional_integer(15);
+    f.simd_efficiency = optional_real(s, 16);
     run.frames.push_back(std::move(f));
   }
 }

@@ -17,6 +17,12 @@ inline float sqrt(float x) { return std::sqrt(x); }
 inline float abs(float x) { return std::fabs(x); }
 inline float min(float a, float b) { return b < a ? b : a; }
 inline float max(float a, float b) { return a < b ? b : a; }
+inline float floor(float x) { return std::floor(x); }
+inline float uintBitsToFloat(uint bits) {
+  float x;
+  std::memcpy(&x, &bits, sizeof x);
+  return x;
+}
 inline uint floatBitsToUint(float x) {
   uint bits;
   std::memcpy(&bits, &x, sizeof bits);
@@ -44,6 +50,15 @@ struct Hit {
   float t;       // of the closest hit so far; t_max before any
   uint prim_id;  // primitive id + 1; 0 is a miss
 };
+
+EP_FN Hit no_hit(Ray ray) {
+  Hit hit;
+  hit.t = ray.t_max;
+  hit.prim_id = 0u;
+  return hit;
+}
+
+EP_FN vec3 xyz(vec4 v) { return vec3(v.x, v.y, v.z); }
 
 // PCG hash. "Hash Functions for GPU Rendering", M. Jarzynski and M. Olano, JCGT 9(3), 2020.
 EP_FN uint hash_u32(uint x) {
@@ -142,13 +157,14 @@ EP_FN vec3 inverse_direction(vec3 d) {
   return vec3(safe_inverse(d.x), safe_inverse(d.y), safe_inverse(d.z));
 }
 
-// Distance at which the ray enters the box, or a negative number if it does not within
-// [t_min, t_max]. The far side is widened by 1e-6 so that no ray slips between two touching boxes
-// (2 ulp would do: "Robust BVH Ray Traversal", T. Ize, JCGT 2(2), 2013) and so that a triangle at
-// the same t as the best hit, but another rounding, is still looked at: ties then end alike in
-// every order of traversal.
-EP_FN float enter_box(vec3 box_min, vec3 box_max, vec3 origin, vec3 inv_d, float t_min,
-                      float t_max) {
+// The far end of a ray's stay in a box or cell, widened by 1e-6 so that no ray slips between two
+// touching boxes (2 ulp would do: "Robust BVH Ray Traversal", T. Ize, JCGT 2(2), 2013) and so that
+// a triangle at the same t as the best hit, but another rounding, is still looked at: ties then end
+// alike in every order of traversal.
+EP_FN float widened(float t) { return t * 1.000001f; }
+
+// Where the ray enters and leaves the box, within [t_min, t_max]: entered only if x <= y.
+EP_FN vec2 box_span(vec3 box_min, vec3 box_max, vec3 origin, vec3 inv_d, float t_min, float t_max) {
   float x0 = (box_min.x - origin.x) * inv_d.x;
   float x1 = (box_max.x - origin.x) * inv_d.x;
   float y0 = (box_min.y - origin.y) * inv_d.y;
@@ -157,18 +173,31 @@ EP_FN float enter_box(vec3 box_min, vec3 box_max, vec3 origin, vec3 inv_d, float
   float z1 = (box_max.z - origin.z) * inv_d.z;
   float enter = max(max(min(x0, x1), min(y0, y1)), max(min(z0, z1), t_min));
   float leave = min(min(max(x0, x1), max(y0, y1)), max(z0, z1));
-  leave = min(leave, t_max) * 1.000001f;
-  return enter <= leave ? enter : -1.0f;
+  return vec2(enter, widened(min(leave, t_max)));
+}
+
+// Distance at which the ray enters the box, or a negative number if it does not within
+// [t_min, t_max].
+EP_FN float enter_box(vec3 box_min, vec3 box_max, vec3 origin, vec3 inv_d, float t_min,
+                      float t_max) {
+  vec2 span = box_span(box_min, box_max, origin, inv_d, t_min, t_max);
+  return span.x <= span.y ? span.x : -1.0f;
 }
 
 // The closer of `best` and the triangle's hit. Two hits at the same t: the lower id wins, so that
-// the answer does not depend on the order of traversal. No epsilon: a test against a fixed
-// determinant would depend on the scene's scale and lose small triangles. "Fast, Minimum Storage
+// the answer does not depend on the order of traversal. No fixed epsilon: a test of the determinant
+// against one would depend on the scene's scale and lose small triangles. But a determinant that is
+// nothing but rounding is a ray in the triangle's plane, and a miss: `bound` is what its terms add
+// up to without their signs, and its rounding error is below 3e-7 of that. "Fast, Minimum Storage
 // Ray/Triangle Intersection", T. Moeller and B. Trumbore, JGT 2(1), 1997.
 EP_FN Hit closer_hit(Hit best, Ray ray, vec3 v0, vec3 e1, vec3 e2, uint prim) {
-  vec3 p = cross3(ray.direction, e2);
+  vec3 d = ray.direction;
+  vec3 p = cross3(d, e2);
   precise float det = dot3(e1, p);
-  if (det == 0.0f) return best;
+  float bound = abs(e1.x) * (abs(d.y * e2.z) + abs(d.z * e2.y)) +
+                abs(e1.y) * (abs(d.z * e2.x) + abs(d.x * e2.z)) +
+                abs(e1.z) * (abs(d.x * e2.y) + abs(d.y * e2.x));
+  if (abs(det) <= 1e-6f * bound) return best;
   precise float inv_det = 1.0f / det;
   precise vec3 s = ray.origin - v0;
   precise float u = dot3(s, p) * inv_det;

@@ -13,7 +13,7 @@ namespace {
 /// vkWaitForFences is asked for this long at a time.
 constexpr int64_t wait_step_ns = 100 * ns_per_ms;
 
-void open_device(Context& context) {
+void open_device(Context& context, bool gpu_assisted_validation) {
   constexpr float priority = 1.0f;
   VkDeviceQueueCreateInfo queue{};
   queue.sType = VK_STRUCTURE_TYPE_DEVICE_QUEUE_CREATE_INFO;
@@ -30,6 +30,11 @@ void open_device(Context& context) {
     info.enabledExtensionCount = 1;
     info.ppEnabledExtensionNames = &extension;
   }
+  // The layer's own shader code writes to buffers.
+  VkPhysicalDeviceFeatures instrumented{};
+  instrumented.vertexPipelineStoresAndAtomics = VK_TRUE;
+  instrumented.fragmentStoresAndAtomics = VK_TRUE;
+  if (gpu_assisted_validation) info.pEnabledFeatures = &instrumented;
   const InstanceApi& api = context.instance->api();
   check(api.create_device(context.physical.handle, &info, nullptr, &context.device),
         fmt::format("open Vulkan device '{}'", context.info.name));
@@ -65,14 +70,15 @@ DeviceList list_devices() {
 }
 
 Device::Device(const DeviceRequest& request) : context_(std::make_unique<Context>()) {
-  context_->instance = std::make_unique<Instance>(request.validation);
+  context_->instance =
+      std::make_unique<Instance>(request.validation, request.gpu_assisted_validation);
   Instance::Survey survey = context_->instance->survey();
   Choice choice = choose_device(survey.candidates, request.name);
   context_->physical = std::move(survey.devices[choice.index]);
   context_->info = std::move(survey.candidates[choice.index].info);
   context_->refusals = std::move(choice.refusals);
   context_->timeout_ns = request.timeout_ns;
-  open_device(*context_);
+  open_device(*context_, request.gpu_assisted_validation);
 }
 
 Device::~Device() = default;

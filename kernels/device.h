@@ -82,6 +82,8 @@ struct DeviceRequest {
   std::string name = "auto";
   /// Run with VK_LAYER_KHRONOS_validation and collect what it says.
   bool validation = false;
+  /// With validation: let the layer check every buffer access in the shaders too. Slow.
+  bool gpu_assisted_validation = false;
   /// Work that has not finished after this long counts as lost: a hung GPU must not hang the run.
   int64_t timeout_ns = 60 * ns_per_s;
 };

@@ -259,7 +259,7 @@ std::vector<std::string> MessageLog::messages() const {
   return messages_;
 }
 
-Instance::Instance(bool validation) {
+Instance::Instance(bool validation, bool gpu_assisted) {
   const LoaderApi loader = load_vulkan();
   if (loader.enumerate_instance_version == nullptr) {
     throw std::runtime_error(
@@ -275,12 +275,12 @@ Instance::Instance(bool validation) {
 
   constexpr std::array extensions{VK_EXT_DEBUG_UTILS_EXTENSION_NAME,
                                   VK_EXT_VALIDATION_FEATURES_EXTENSION_NAME};
-  constexpr VkValidationFeatureEnableEXT synchronization =
-      VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT;
+  constexpr std::array checks{VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT,
+                              VK_VALIDATION_FEATURE_ENABLE_GPU_ASSISTED_EXT};
   VkValidationFeaturesEXT features{};
   features.sType = VK_STRUCTURE_TYPE_VALIDATION_FEATURES_EXT;
-  features.enabledValidationFeatureCount = 1;
-  features.pEnabledValidationFeatures = &synchronization;
+  features.enabledValidationFeatureCount = gpu_assisted ? 2 : 1;
+  features.pEnabledValidationFeatures = checks.data();
   VkDebugUtilsMessengerCreateInfoEXT messenger = messenger_info(*log_);
   if (validation) {
     require_validation_layer(loader);

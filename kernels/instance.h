@@ -35,7 +35,7 @@ struct PhysicalDevice {
 class Instance {
  public:
   /// Throws std::runtime_error, saying what to install, if there is no loader, driver or layer.
-  explicit Instance(bool validation);
+  explicit Instance(bool validation, bool gpu_assisted = false);
   ~Instance();
   Instance(const Instance&) = delete;
   Instance& operator=(const Instance&) = delete;

@@ -3,14 +3,21 @@
 
 #include <algorithm>
 
+#include "core/algorithms.h"
+#include "embedded/bvh_ftb_bf_spv.h"
 #include "embedded/bvh_ftb_df_spv.h"
+#include "embedded/bvh_stackless_df_spv.h"
+#include "embedded/grid_spv.h"
+#include "embedded/kd_stack_spv.h"
+#include "embedded/kd_tree_spv.h"
 
 namespace energyprof::kernels {
 
 const std::vector<KernelInfo>& kernel_list() {
-  static const std::vector<KernelInfo> kernels{
-      {"BVH_FTB_DF", AccelKind::bvh_depth_first, embedded::bvh_ftb_df_spv()},
-  };
+#define EP_KERNEL(name, file, kind, uses_stack, text) \
+  {#name, AccelKind::kind, uses_stack, embedded::file##_spv()},
+  static const std::vector<KernelInfo> kernels{EP_ALGORITHMS(EP_KERNEL)};
+#undef EP_KERNEL
   return kernels;
 }
 

@@ -11,6 +11,7 @@ namespace energyprof::kernels {
 struct KernelInfo {
   std::string_view name;   ///< "BVH_FTB_DF"
   AccelKind accel;         ///< the structure it traverses
+  bool uses_stack;         ///< of AccelBlob::max_depth + 1 entries
   std::string_view spirv;  ///< its shader
 };
 

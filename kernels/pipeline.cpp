@@ -89,11 +89,13 @@ Owned<VkPipeline> make_pipeline(Context& context, const PipelineLayout& layout,
         fmt::format("load the shader of {}", name));
   const Owned<VkShaderModule> owned_module(context, module, context.api.destroy_shader_module);
 
-  const std::array<VkSpecializationMapEntry, 4> entries{{
+  const std::array<VkSpecializationMapEntry, 6> entries{{
       {0, offsetof(Specialization, local_x), sizeof constants.local_x},
       {1, offsetof(Specialization, local_y), sizeof constants.local_y},
       {2, offsetof(Specialization, count_work), sizeof constants.count_work},
       {3, offsetof(Specialization, stack_size), sizeof constants.stack_size},
+      {4, offsetof(Specialization, has_refs), sizeof constants.has_refs},
+      {5, offsetof(Specialization, row_interleave), sizeof constants.row_interleave},
   }};
   const VkSpecializationInfo specialization{static_cast<uint32_t>(entries.size()), entries.data(),
                                             sizeof constants, &constants};

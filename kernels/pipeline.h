@@ -1,5 +1,5 @@
-/// Compute pipelines of this folder: all share one set of six storage buffers and 128 bytes of push
-/// constants.
+/// Compute pipelines of this folder: all share one set of seven storage buffers and 128 bytes of
+/// push constants.
 #pragma once
 
 #include <array>
@@ -10,8 +10,8 @@
 
 namespace energyprof::kernels {
 
-/// Bindings 0..5 of every shader: nodes, refs, triangles, hits, counts, partials.
-inline constexpr uint32_t binding_count = 6;
+/// Bindings 0..6 of every shader: nodes, refs, triangles, hits, counts, partials, lanes.
+inline constexpr uint32_t binding_count = 7;
 
 /// What all pipelines of one TraceProgram share.
 class PipelineLayout {
@@ -39,12 +39,14 @@ class DescriptorSet {
   VkDescriptorSet set_ = VK_NULL_HANDLE;
 };
 
-/// The specialization constants of shaders/megakernel.glsl, by constant_id.
+/// The specialization constants of shaders/scene.glsl, by constant_id.
 struct Specialization {
   uint32_t local_x = 8;
   uint32_t local_y = 8;
   VkBool32 count_work = VK_FALSE;
   uint32_t stack_size = 0;
+  VkBool32 has_refs = VK_FALSE;
+  uint32_t row_interleave = 1;
 };
 
 /// `name` is for errors. Constants a shader does not have are ignored.

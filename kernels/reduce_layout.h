@@ -8,15 +8,13 @@
 namespace energyprof::gpu {
 #endif
 
-// Threads of a workgroup, and pixels that one thread sums up: few enough that no 32-bit sum
-// overflows before 2^32 / 256 = 16.7 million node visits in one pixel.
+// Threads of a workgroup, and pixels that one thread sums up.
 const uint reduce_workgroup_size = 64u;
 const uint reduce_pixels_per_thread = 256u;
 
 struct ReduceConstants {
   uint pixel_count;
   uint thread_count;
-  uint counted;  // 1: the frame wrote PixelCounts
 };
 
 // Sums over the pixels of one thread; the host adds them up.
@@ -25,15 +23,11 @@ struct ReducePartial {
   uint ray_count;
   uint checksum_x;  // modulo 2^32
   uint checksum_y;
-  uint node_visits;
-  uint box_tests;
-  uint prim_tests;
-  uint max_loop_steps;  // the largest, not the sum
 };
 
 #ifdef __cplusplus
-static_assert(sizeof(ReduceConstants) == 12);
-static_assert(sizeof(ReducePartial) == 32);
+static_assert(sizeof(ReduceConstants) == 8);
+static_assert(sizeof(ReducePartial) == 16);
 }  // namespace energyprof::gpu
 #endif
 

@@ -8,7 +8,9 @@
 #include <cassert>
 #include <span>
 #include <stdexcept>
+#include <thread>
 
+#include "core/algorithms.h"
 #include "embedded/reduce_spv.h"
 #include "kernels/buffer.h"
 #include "kernels/clock_sync.h"
@@ -43,7 +45,8 @@ const KernelInfo& require_kernel(const TraceSetup& setup) {
 }
 
 /// Entries for the deepest path and one to spare, in steps, so that few shader variants exist.
-uint32_t require_stack_size(const TraceSetup& setup) {
+uint32_t require_stack_size(const KernelInfo& kernel, const TraceSetup& setup) {
+  if (!kernel.uses_stack) return stack_step;
   const uint32_t needed = setup.blob.max_depth + 1;
   if (needed > max_stack_size) {
     throw std::runtime_error(fmt::format(
@@ -52,6 +55,13 @@ uint32_t require_stack_size(const TraceSetup& setup) {
         setup.kernel, needed, max_stack_size));
   }
   return div_up(needed, stack_step) * stack_step;
+}
+
+/// A CPU driver's threads each take one run of workgroups: let each have rows from all over the
+/// image.
+uint32_t row_interleave(const DeviceInfo& info) {
+  if (info.type != "cpu") return 1;
+  return std::max(1u, std::thread::hardware_concurrency());
 }
 
 /// Checks image and workgroup against the device; returns the number of pixels.
@@ -90,10 +100,6 @@ struct FrameSums {
   int64_t ray_count = 0;
   uint32_t checksum_x = 0;
   uint32_t checksum_y = 0;
-  int64_t node_visits = 0;
-  int64_t box_tests = 0;
-  int64_t prim_tests = 0;
-  int64_t max_loop_steps = 0;
 };
 
 FrameSums add_up(std::span<const gpu::ReducePartial> partials) {
@@ -103,10 +109,6 @@ FrameSums add_up(std::span<const gpu::ReducePartial> partials) {
     sums.ray_count += partial.ray_count;
     sums.checksum_x += partial.checksum_x;
     sums.checksum_y += partial.checksum_y;
-    sums.node_visits += partial.node_visits;
-    sums.box_tests += partial.box_tests;
-    sums.prim_tests += partial.prim_tests;
-    sums.max_loop_steps = std::max<int64_t>(sums.max_loop_steps, partial.max_loop_steps);
   }
   return sums;
 }
@@ -135,9 +137,9 @@ struct TraceProgram::Impl {
   // The steps of a frame.
   void settle();
   void record_tile(VkCommandBuffer commands, uint32_t tile, VkPipeline pipeline);
-  void record_reduce(bool counted);
+  void record_reduce();
   TickSpan read_timestamps(uint32_t tile_count);
-  FrameSums reduce(bool counted);
+  FrameSums reduce();
 
   template <typename T>
   [[nodiscard]] std::vector<T> read(const Buffer& buffer) const {
@@ -159,6 +161,7 @@ struct TraceProgram::Impl {
   Buffer triangles;
   Buffer hits;
   Buffer counts;
+  Buffer lanes;
   const uint32_t reduce_thread_count;
   Buffer partials;
   PipelineLayout layout;
@@ -176,7 +179,7 @@ struct TraceProgram::Impl {
   int64_t slowest_dispatch_ns = 0;  ///< of the last frame
   bool in_flight = false;           ///< submitted and not waited for: the last frame failed
   bool has_hits = false;
-  std::optional<int64_t> max_loop_steps;
+  std::optional<WorkSums> work;  ///< of the last counted frame
 };
 
 TraceProgram::Impl::Impl(Device& device, const TraceSetup& setup)
@@ -185,31 +188,34 @@ TraceProgram::Impl::Impl(Device& device, const TraceSetup& setup)
       constants(setup.constants),
       scale{context.info.timestamp_period_ns, context.info.timestamp_valid_bits},
       kernel(require_kernel(setup)),
-      specialization{config.local_x, config.local_y, VK_FALSE, require_stack_size(setup)},
+      specialization{config.local_x,
+                     config.local_y,
+                     VK_FALSE,
+                     require_stack_size(kernel, setup),
+                     setup.blob.refs.empty() ? VK_FALSE : VK_TRUE,
+                     row_interleave(context.info)},
       pixel_count(require_image(context.info, setup)),
       nodes(context, "node buffer", setup.blob.nodes.size()),
       refs(context, "reference buffer", setup.blob.refs.size() * sizeof(uint32_t)),
-      triangles(context, "triangle buffer", setup.blob.triangles.size()),
+      triangles(context, "triangle buffer", setup.triangles.size_bytes()),
       hits(context, "hit buffer", pixel_count * sizeof(gpu::PixelHits)),
       counts(context, "work buffer", pixel_count * sizeof(gpu::PixelCounts)),
+      lanes(context, "lane buffer", pixel_count * sizeof(gpu::PixelLanes)),
       // The hit buffer fits the device, so the pixels can be counted in 32 bits.
       reduce_thread_count(
           div_up(static_cast<uint32_t>(pixel_count), gpu::reduce_pixels_per_thread)),
       partials(context, "sum buffer", reduce_thread_count * sizeof(gpu::ReducePartial),
                Buffer::Use::readback),
       layout(context),
-      buffers(context, layout, {&nodes, &refs, &triangles, &hits, &counts, &partials}),
+      buffers(context, layout, {&nodes, &refs, &triangles, &hits, &counts, &partials, &lanes}),
       timestamps(make_timestamps(context, 2 * div_up(constants.height, config.local_y))),
       pool(make_command_pool(context)),
       fence(make_fence(context)) {
-  assert(setup.blob.nodes.size() % sizeof(gpu::BvhNode) == 0);
-  assert(setup.blob.triangles.size() % sizeof(gpu::Triangle) == 0);
+  assert(setup.blob.nodes.size() % node_bytes(setup.blob.kind) == 0);
   nodes.upload(setup.blob.nodes);
   refs.upload(std::as_bytes(std::span(setup.blob.refs)));
-  triangles.upload(setup.blob.triangles);
-  constants.bounds_min = gpu::vec4(setup.blob.bounds_min, 0.0f);
-  constants.bounds_max = gpu::vec4(setup.blob.bounds_max, 0.0f);
-  constants.node_count = static_cast<uint32_t>(setup.blob.nodes.size() / sizeof(gpu::BvhNode));
+  triangles.upload(std::as_bytes(setup.triangles));
+  set_structure(constants, setup.blob);
 
   Specialization counting = specialization;
   counting.count_work = VK_TRUE;
@@ -267,10 +273,10 @@ void TraceProgram::Impl::record_tile(VkCommandBuffer commands, uint32_t tile, Vk
   end_commands(context, commands);
 }
 
-void TraceProgram::Impl::record_reduce(bool counted) {
+void TraceProgram::Impl::record_reduce() {
   const DeviceApi& api = context.api;
   const gpu::ReduceConstants reduce_constants{static_cast<uint32_t>(pixel_count),
-                                              reduce_thread_count, counted ? 1u : 0u};
+                                              reduce_thread_count};
   const VkDescriptorSet set = buffers.get();
   VkMemoryBarrier barrier{};
   barrier.sType = VK_STRUCTURE_TYPE_MEMORY_BARRIER;
@@ -313,8 +319,8 @@ TickSpan TraceProgram::Impl::read_timestamps(uint32_t tile_count) {
   return {ticks.front(), ticks.back()};
 }
 
-FrameSums TraceProgram::Impl::reduce(bool counted) {
-  record_reduce(counted);
+FrameSums TraceProgram::Impl::reduce() {
+  record_reduce();
   submit(context, reduce_commands, fence.get(), "sum up a frame");
   wait_and_reset(context, fence.get(), "sum up a frame");
   return add_up(read<gpu::ReducePartial>(partials));
@@ -363,23 +369,27 @@ FrameRecord TraceProgram::Impl::run_frame(uint32_t frame, Phase phase) {
   record.end_ns = host.end_ns;
   record.clock_error_ns = host.error_ns;
 
-  const FrameSums sums = reduce(counted);
+  const FrameSums sums = reduce();
   in_flight = false;
   has_hits = true;
   record.ray_count = sums.ray_count;
   record.hit_count = sums.hit_count;
   record.hit_checksum = fmt::format("{:08x}{:08x}", sums.checksum_x, sums.checksum_y);
   if (counted) {
-    record.node_visit_count = sums.node_visits;
-    record.box_test_count = sums.box_tests;
-    record.prim_test_count = sums.prim_tests;
-    max_loop_steps = sums.max_loop_steps;
-    if (context.info.type == "cpu" && sums.max_loop_steps > max_cpu_loop_steps) {
-      throw std::runtime_error(
-          fmt::format("cannot trust '{}' on '{}': a pixel took {} loop steps, beyond {} this CPU "
-                      "driver may end "
-                      "loops early. Trace on a GPU, or a model with less overlap.",
-                      kernel.name, context.info.name, sums.max_loop_steps, max_cpu_loop_steps));
+    work = sum_work(
+        read<gpu::PixelCounts>(counts), read<gpu::PixelLanes>(lanes),
+        {constants.width, constants.height, config.local_x, config.local_y, rows_per_dispatch});
+    record.node_visit_count = work->node_visits;
+    record.box_test_count = work->box_tests;
+    record.prim_test_count = work->prim_tests;
+    record.loop_step_count = work->loop_steps;
+    record.simd_efficiency = work->simd_efficiency;
+    if (context.info.type == "cpu" && work->max_subgroup_steps > max_cpu_subgroup_steps) {
+      throw std::runtime_error(fmt::format(
+          "cannot trust '{}' on '{}': a SIMD group took {} loop steps, beyond {} this "
+          "CPU driver may end loops early. Trace on a GPU, or a model with less "
+          "overlap.",
+          kernel.name, context.info.name, work->max_subgroup_steps, max_cpu_subgroup_steps));
     }
   }
   if (context.info.type != "cpu" && !config.rows_per_dispatch) {
@@ -405,10 +415,10 @@ std::vector<gpu::PixelHits> TraceProgram::read_hits() const {
 }
 
 std::vector<gpu::PixelCounts> TraceProgram::read_counts() const {
-  if (!impl_->max_loop_steps) return {};
+  if (!impl_->work) return {};
   return impl_->read<gpu::PixelCounts>(impl_->counts);
 }
 
-std::optional<int64_t> TraceProgram::max_loop_steps() const { return impl_->max_loop_steps; }
+std::optional<WorkSums> TraceProgram::work() const { return impl_->work; }
 
 }  // namespace energyprof::kernels

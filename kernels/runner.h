@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -12,14 +13,17 @@
 #include "core/record.h"
 #include "kernels/device.h"
 #include "kernels/kernel_list.h"
+#include "kernels/work.h"
 
 namespace energyprof::kernels {
 
-/// What is traced. `blob` is copied to the device and may go once the TraceProgram is made.
+/// What is traced. Structure and triangles are copied to the device and may go once the
+/// TraceProgram is made.
 struct TraceSetup {
   const AccelBlob& blob;
+  std::span<const gpu::Triangle> triangles;
   std::string kernel = "BVH_FTB_DF";
-  /// Camera, image, seed and bounces. Of the scene and the frame (bounds, node_count, frame,
+  /// Camera, image, seed and bounces. Of structure and frame (bounds, grid, node_count, frame,
   /// first_row, row_count) the program takes care itself.
   gpu::FrameConstants constants{};
 
@@ -38,10 +42,11 @@ struct TraceSetup {
 /// hits in silence.
 inline constexpr uint32_t max_stack_size = 128;
 
-/// The most iterations of the traversal loop that a pixel may need on a CPU device. Mesa's driver
-/// ends loops in silence after 65,535 iterations of a SIMD group, all loops of the shader together;
-/// a group iterates at most twice (primary and bounce ray) as often as its busiest pixel.
-inline constexpr int64_t max_cpu_loop_steps = 32'700;
+/// The most loop steps that the threads of a subgroup may take together on a CPU device. Mesa's
+/// driver ends loops in silence after 65,535 iterations of a SIMD group, all loops of the shader
+/// together; a group does not iterate more often than its threads, added up, step. The rest is for
+/// the shader's other loops.
+inline constexpr int64_t max_cpu_subgroup_steps = 65'000;
 
 /// Not thread-safe; programs of one Device must not run at the same time.
 class TraceProgram {
@@ -58,15 +63,15 @@ class TraceProgram {
   /// begin_ns to end_ns is the tracing alone. Rays, hits and checksum are summed up on the device
   /// afterwards. Phase::counted runs the counting variant of the kernel, whose times mean nothing.
   /// Throws DeviceLost, OutOfMemory; std::runtime_error if a counted frame on a CPU device needed
-  /// more loop steps than max_cpu_loop_steps.
+  /// more loop steps than max_cpu_subgroup_steps.
   FrameRecord run_frame(uint32_t frame, Phase phase);
 
   /// The last frame's hits, row by row from the top; empty before the first frame.
   [[nodiscard]] std::vector<gpu::PixelHits> read_hits() const;
   /// The last counted frame's work, likewise; empty before the first one.
   [[nodiscard]] std::vector<gpu::PixelCounts> read_counts() const;
-  /// The most loop iterations of a pixel in the last counted frame; absent before the first one.
-  [[nodiscard]] std::optional<int64_t> max_loop_steps() const;
+  /// The sums of the last counted frame's work; absent before the first one.
+  [[nodiscard]] std::optional<WorkSums> work() const;
 
  private:
   struct Impl;

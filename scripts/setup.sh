@@ -15,7 +15,7 @@ run_packages=(
 )
 test_packages=(
   "${run_packages[@]}"
-  libgtest-dev libgmock-dev librapidcheck-dev
+  libgtest-dev libgmock-dev librapidcheck-dev libembree-dev
   vulkan-validationlayers spirv-tools sqlite3 chromium
 )
 

@@ -172,7 +172,7 @@
 
   function fillCells() {
     if (report.cells.length === 0) {
-      body("cells").append(note("No timed frame was recorded."));
+      for (const id of ["cells", "work"]) body(id).append(note("No timed frame was recorded."));
       return;
     }
     body("cells").append(table("One row per model, view and algorithm; timed frames only.", [
@@ -191,16 +191,36 @@
       { title: "Rays", unit: "per frame", right: true, value: (cell) => fixed(cell.rays_per_frame, 0) },
       { title: "Hits", unit: "%", right: true,
         value: (cell) => (cell.hit_ratio === null ? "-" : fixed(100 * cell.hit_ratio, 1)) },
-      { title: "Nodes", unit: "per ray", right: true, value: (cell) => fixed(cell.node_visits_per_ray, 1) },
-      { title: "Boxes", unit: "per ray", right: true, value: (cell) => fixed(cell.box_tests_per_ray, 1) },
-      { title: "Triangles", unit: "per ray", right: true,
-        value: (cell) => fixed(cell.prim_tests_per_ray, 1) },
       { title: "Hit checksums", value: checksum,
         tone: (cell) => ({ agree: "good", differ: "bad" })[checksum(cell)] },
       { title: "Clock error", unit: "± µs", right: true, value: (cell) => fixed(cell.clock_error_us, 1) },
     ], report.cells));
     fillOutliers();
-    fillBuilds();
+    fillWork();
+    fillStructures();
+  }
+
+  function fillWork() {
+    if (!report.cells.some((cell) => Object.values(cell.work).some((value) => value !== null))) {
+      body("work").append(note("No frame counted its work."));
+      return;
+    }
+    const perRay = (title, name, decimals, unit) => ({ title, unit, right: true,
+      value: (cell) => fixed(cell.work[name], decimals) });
+    body("work").append(table("From one counted frame for each model, view and algorithm.", [
+      { title: "Model", header: true, value: (cell) => cell.model },
+      { title: "View", right: true, value: (cell) => String(cell.view) },
+      { title: "Algorithm", value: (cell) => named(cell.algorithm) },
+      perRay("Nodes", "node_visits_per_ray", 1),
+      perRay("Boxes", "box_tests_per_ray", 1),
+      perRay("Triangles", "prim_tests_per_ray", 1),
+      perRay("Loop steps", "loop_steps_per_ray", 1),
+      perRay("SIMD efficiency", "simd_efficiency", 3),
+      perRay("L1 misses", "l1_misses_per_ray_modelled", 2, "modelled"),
+      perRay("LLC misses", "llc_misses_per_ray_modelled", 3, "modelled"),
+      perRay("Bytes per pixel", "bytes_per_pixel_modelled", 0, "modelled"),
+    ], report.cells));
+    if (data.cache_text) body("work").append(note(data.cache_text));
   }
 
   function fillOutliers() {
@@ -226,20 +246,24 @@
       ], shown));
   }
 
-  function fillBuilds() {
-    if (report.builds.length === 0) return;
+  function fillStructures() {
+    if (report.structures.length === 0) return;
     const whole = (value) => (value === null ? "-" : value.toLocaleString("en"));
-    body("cells").append(make("h3", {}, "Structures"), table("What was traversed, as it was built.", [
+    body("work").append(make("h3", {}, "Structures"), table("What was traversed, as it was built.", [
       { title: "Model", header: true, value: (row) => row.model },
       { title: "Algorithm", value: (row) => named(row.algorithm) },
-      { title: "Build", unit: "ms", right: true, value: (row) => fixed(row.build_ms, 1) },
-      { title: "Size", unit: "bytes", right: true, value: (row) => whole(row.blob_bytes) },
+      { title: "Build", unit: "ms", right: true,
+        value: (row) => fixed(row.build_ms, 1) + (row.cached ? " (cached)" : "") },
+      { title: "Size", unit: "MiB", right: true, value: (row) => fixed(row.blob_mib, 2) },
       { title: "Triangles", right: true, value: (row) => whole(row.triangle_count) },
       { title: "Nodes", right: true, value: (row) => whole(row.node_count) },
       { title: "Leaves", right: true, value: (row) => whole(row.leaf_count) },
+      { title: "References", right: true, value: (row) => whole(row.ref_count) },
       { title: "Depth", right: true, value: (row) => whole(row.max_depth) },
       { title: "SAH cost", right: true, value: (row) => fixed(row.sah_cost, 2) },
-    ], report.builds));
+    ], report.structures));
+    if (report.structures.some((row) => row.cached))
+      body("work").append(note("Cached: read from disk; the time is that of its build."));
   }
 
   function fillEnergy() {
@@ -267,7 +291,9 @@
       make("figure", {}, make("img", { src: image.src, alt: image.title, loading: "lazy" }),
         make("figcaption", {}, image.title)));
     if (pictures.length > 0) body("images").append(make("div", { className: "pictures" }, ...pictures));
-    else body("images").append(note("The run has no images."));
+    else if (data.named_images.length === 0) body("images").append(note("The run has no images."));
+    if (data.named_images.length > 0)
+      body("images").append(note("Beside this page:"), list(data.named_images));
     if (data.images_left_out > 0)
       body("images").append(
         note(`${data.images_left_out} more are in the folder images beside this page; the page would be too large with them.`));
@@ -309,7 +335,9 @@
 
   function fillNotes() {
     body("warnings").append(list(report.warnings));
-    if (report.events.length === 0) body("events").append(note("Nothing happened that was noted."));
+    const events = report.events.filter((event) => event.kind !== "idle");
+    if (data.idle_text) body("events").append(note(data.idle_text));
+    if (events.length === 0) body("events").append(note("Nothing else happened that was noted."));
     else
       body("events").append(table("What happened during the run.", [
         { title: "At", unit: "s", right: true, value: (row) => fixed(row.t_s, 3) },
@@ -317,9 +345,9 @@
           tone: (row) => (row.severity === "info" ? "" : "bad") },
         { title: "Kind", value: (row) => row.kind },
         { title: "What", wide: true, value: (row) => row.text },
-      ], report.events.slice(0, 200)));
-    if (report.events.length > 200)
-      body("events").append(note(`${report.events.length - 200} more are in report.json.`));
+      ], events.slice(0, 200)));
+    if (events.length > 200)
+      body("events").append(note(`${events.length - 200} more are in report.json.`));
     body("cost").append(data.sampler.length > 0 ? list(data.sampler) : note("Not recorded."));
   }
 

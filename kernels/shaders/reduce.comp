@@ -1,4 +1,4 @@
-// Sums up a traced frame: rays, hits, checksum, work. Runs after the frame's end timestamp, untimed.
+// Sums up a traced frame: rays, hits, checksum. Runs after the frame's end timestamp, untimed.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 
@@ -9,7 +9,6 @@
 layout(local_size_x = 64, local_size_y = 1, local_size_z = 1) in;  // reduce_workgroup_size
 
 layout(std430, binding = 3) readonly buffer Hits { PixelHits hits[]; };
-layout(std430, binding = 4) readonly buffer Counts { PixelCounts counts[]; };
 layout(std430, binding = 5) writeonly buffer Partials { ReducePartial partials[]; };
 layout(push_constant) uniform Constants { ReduceConstants constants; };
 
@@ -17,7 +16,7 @@ void main() {
   uint thread = gl_GlobalInvocationID.x;
   if (thread >= constants.thread_count) return;
 
-  ReducePartial sum = ReducePartial(0u, 0u, 0u, 0u, 0u, 0u, 0u, 0u);
+  ReducePartial sum = ReducePartial(0u, 0u, 0u, 0u);
   // Neighbouring threads read neighbouring pixels.
   for (uint pixel = thread; pixel < constants.pixel_count; pixel += constants.thread_count) {
     PixelHits seen = hits[pixel];
@@ -28,13 +27,6 @@ void main() {
     uvec2 terms = checksum_terms(pixel, seen);
     sum.checksum_x += terms.x;
     sum.checksum_y += terms.y;
-    if (constants.counted != 0u) {
-      PixelCounts work = counts[pixel];
-      sum.node_visits += work.node_visits;
-      sum.box_tests += work.box_tests;
-      sum.prim_tests += work.prim_tests;
-      sum.max_loop_steps = max(sum.max_loop_steps, work.loop_steps);
-    }
   }
   partials[thread] = sum;
 }

@@ -81,6 +81,18 @@ inline std::vector<NamedMesh> ugly_scenes() {
       {"far away", transformed(triangle_soup(500, 0.5f, 23), 10.0f, glm::vec3(1e6f, 0.0f, -1e6f))}};
 }
 
+/// `mesh` with its vertices moved to the corners of a lattice of `cells` across the largest extent
+/// and welded; triangles that become flat are gone.
+inline accel::Mesh decimated(const accel::Mesh& mesh, float cells) {
+  const accel::Bounds box = accel::bounds(mesh);
+  const glm::vec3 size = box.max - box.min;
+  const float cell = std::max(size.x, std::max(size.y, size.z)) / cells;
+  accel::Mesh coarse = mesh;
+  for (glm::vec3& position : coarse.positions)
+    position = box.min + cell * glm::round((position - box.min) / cell);
+  return accel::weld(coarse);
+}
+
 /// A camera outside of `mesh` that looks at its middle.
 inline gpu::FrameConstants camera_for(const accel::Mesh& mesh, uint32_t width, uint32_t height) {
   const accel::Bounds box = accel::bounds(mesh);

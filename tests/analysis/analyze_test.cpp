@@ -91,6 +91,8 @@ TEST(Analyze, CellNumbersAreThoseOfTheirFrames) {
   counted.phase = Phase::counted;
   counted.node_visit_count = 30'000;
   counted.prim_test_count = 5'000;
+  counted.loop_step_count = 41'000;
+  counted.simd_efficiency = 0.625;
   builder.run.frames.push_back(warmup);
   builder.run.frames.push_back(counted);
   const Analysis analysis = analyze(builder.run);
@@ -105,9 +107,13 @@ TEST(Analyze, CellNumbersAreThoseOfTheirFrames) {
   EXPECT_NEAR(*cell.mrays_per_s, 0.1, 1e-12);
   EXPECT_DOUBLE_EQ(*cell.hit_ratio, 0.4);
   EXPECT_DOUBLE_EQ(*cell.clock_error_us, 2);
-  EXPECT_DOUBLE_EQ(*cell.node_visits_per_ray, 30);
-  EXPECT_DOUBLE_EQ(*cell.prim_tests_per_ray, 5);
-  EXPECT_FALSE(cell.box_tests_per_ray);
+  EXPECT_DOUBLE_EQ(*cell.work.node_visits_per_ray, 30);
+  EXPECT_DOUBLE_EQ(*cell.work.prim_tests_per_ray, 5);
+  EXPECT_DOUBLE_EQ(*cell.work.loop_steps_per_ray, 41);
+  EXPECT_DOUBLE_EQ(*cell.work.simd_efficiency, 0.625);
+  EXPECT_FALSE(cell.work.box_tests_per_ray);
+  EXPECT_FALSE(cell.work.l1_misses_per_ray);
+  EXPECT_TRUE(cell.work.cache_model.is_null());
   EXPECT_FALSE(cell.checksums_agree) << "one algorithm has nobody to agree with";
 }
 
@@ -180,6 +186,63 @@ TEST(Analyze, SkippedTrialsAreNamedAndCountNowhere) {
   EXPECT_THAT(analysis.warnings, Contains(AllOf(HasSubstr("Skipped: m, view 0, B"),
                                                 HasSubstr("the device was lost"))));
   EXPECT_THAT(analysis.warnings, Contains(HasSubstr("Without any usable timed frame: B")));
+}
+
+TEST(Analyze, TrialsSkippedForOneReasonAreOneWarning) {
+  RunBuilder builder;
+  builder.add_trial("m", 0, "A", {1, 1});
+  for (int64_t view = 0; view < 9; ++view)
+    builder.add_trial("bunny", view, "A", {}).skip_reason = "cannot be fetched";
+  EXPECT_THAT(analyze(builder.run).warnings,
+              Contains("Skipped: bunny, 9 trials: cannot be fetched").Times(1));
+}
+
+TEST(Analyze, CacheModelIsThatOfTheFirstUsableTrialThatHasOne) {
+  RunBuilder builder;
+  Trial& lost = builder.add_trial("m", 0, "A", {1, 1});
+  lost.skip_reason = "lost";
+  lost.l1_misses_per_ray = 99;
+  builder.add_trial("m", 0, "A", {1, 1}).repetition = 1;
+  Trial& modelled = builder.add_trial("m", 0, "A", {1, 1});
+  modelled.repetition = 2;
+  modelled.bytes_per_pixel = 640;
+  modelled.l1_misses_per_ray = 3.5;
+  modelled.llc_misses_per_ray = 0;
+  modelled.cache_model = R"({"modelled":true})";
+  const Analysis analysis = analyze(builder.run);
+  ASSERT_EQ(analysis.cells.size(), 1u);
+  const Work& work = analysis.cells[0].work;
+  EXPECT_EQ(work.bytes_per_pixel, 640);
+  EXPECT_EQ(work.l1_misses_per_ray, 3.5);
+  EXPECT_EQ(work.llc_misses_per_ray, 0);
+  EXPECT_FALSE(work.footprint_bytes);
+  EXPECT_EQ(work.cache_model.at("modelled"), true);
+}
+
+TEST(Analyze, AStructureIsListedOnceAndSaysHowItWasMade) {
+  RunBuilder builder;
+  for (const char* algorithm : {"KD_TREE", "KD_STACK", "KD_TREE"}) {
+    Trial& trial = builder.add_trial("m", 0, algorithm, {1, 1});
+    trial.build_ns = 2'500'000;
+    trial.blob_bytes = 1 << 20;
+    trial.ref_count = 12;
+    trial.build_config = R"({"max_leaf_size":8})";
+    trial.build_cached = true;
+  }
+  Trial& unknown = builder.add_trial("m", 1, "GRID", {1, 1});
+  unknown.blob_bytes = 5;
+  unknown.build_config = "not JSON";
+  const Analysis analysis = analyze(builder.run);
+  ASSERT_EQ(analysis.structures.size(), 3u);
+  EXPECT_EQ(analysis.structures[0].algorithm, "GRID");
+  EXPECT_TRUE(analysis.structures[0].parameters.is_null());
+  EXPECT_FALSE(analysis.structures[0].cached);
+  EXPECT_FALSE(analysis.structures[0].build_ms);
+  EXPECT_EQ(analysis.structures[1].algorithm, "KD_STACK");
+  EXPECT_EQ(analysis.structures[1].parameters.at("max_leaf_size"), 8);
+  EXPECT_EQ(analysis.structures[1].cached, true);
+  EXPECT_EQ(analysis.structures[1].build_ms, 2.5);
+  EXPECT_EQ(analysis.structures[1].ref_count, 12);
 }
 
 TEST(Analyze, NamesAlgorithmsThatDisagree) {

@@ -36,6 +36,8 @@ std::vector<std::vector<std::string>> parse(const std::string& text) {
 TEST(Csv, FramesHaveOneRecordEach) {
   RunBuilder builder;
   builder.add_trial("a, \"b\"\nc", 2, "A", {1, 2});
+  builder.run.frames[0].loop_step_count = 7;
+  builder.run.frames[0].simd_efficiency = 0.75;
   builder.run.frames[1].ray_count.reset();
   builder.run.frames[1].trial_id = 99;
   std::ostringstream out;
@@ -52,6 +54,9 @@ TEST(Csv, FramesHaveOneRecordEach) {
   EXPECT_EQ(column(1, "phase"), "timed");
   EXPECT_EQ(column(1, "end_ns"), std::to_string(planted::begin_ns + 1'000'000));
   EXPECT_EQ(column(1, "hit_checksum"), "h0");
+  EXPECT_EQ(column(1, "loop_step_count"), "7");
+  EXPECT_EQ(column(1, "simd_efficiency"), "0.75");
+  EXPECT_EQ(column(2, "simd_efficiency"), "");
   EXPECT_EQ(column(2, "ray_count"), "") << "unknown is empty";
   EXPECT_EQ(column(2, "model"), "") << "a frame of no trial";
 }

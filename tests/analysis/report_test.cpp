@@ -83,6 +83,95 @@ TEST(ReportJson, UnknownIsNull) {
   EXPECT_TRUE(report.at("energy").at(0).at("joules_per_frame").at("value").is_null());
 }
 
+/// A run whose only cell has all of its work known.
+RunRecord worked_run() {
+  RunBuilder builder;
+  Trial& trial = builder.add_trial("m", 0, "GRID", {1, 2, 3});
+  trial.build_ns = 12'000'000;
+  trial.build_cached = true;
+  trial.build_config = R"({"lambda":3.0})";
+  trial.blob_bytes = 3 << 19;
+  trial.ref_count = 77;
+  trial.bytes_per_pixel = 641;
+  trial.l1_misses_per_ray = 3.25;
+  trial.llc_misses_per_ray = 0.0;
+  trial.footprint_bytes = 4096;
+  trial.cache_model =
+      R"({"modelled":true,"l1":{"size_bytes":49152,"ways":12,"line_bytes":64,"source":"host"},
+          "llc":{"size_bytes":8388608,"ways":16,"line_bytes":64,"source":"assumed"}})";
+  FrameRecord counted = builder.run.frames.back();
+  counted.phase = Phase::counted;
+  counted.node_visit_count = 50'500;
+  counted.loop_step_count = 61'250;
+  counted.simd_efficiency = 0.875;
+  builder.run.frames.push_back(counted);
+  Event idle;
+  idle.t_ns = planted::begin_ns;
+  idle.end_ns = planted::begin_ns + 2'500'000'000;
+  idle.kind = "idle";
+  idle.text = "nothing was submitted";
+  builder.run.events.push_back(idle);
+  builder.close();
+  return builder.run;
+}
+
+TEST(ReportJson, GivesTheWorkOfACellAndItsStructure) {
+  const json report = json_of(worked_run());
+  const json& work = report.at("cells").at(0).at("work");
+  EXPECT_EQ(work.at("node_visits_per_ray"), 50.5);
+  EXPECT_EQ(work.at("loop_steps_per_ray"), 61.25);
+  EXPECT_EQ(work.at("simd_efficiency"), 0.875);
+  EXPECT_TRUE(work.at("box_tests_per_ray").is_null());
+  EXPECT_TRUE(work.at("prim_tests_per_ray").is_null());
+  EXPECT_EQ(work.at("bytes_per_pixel_modelled"), 641.0);
+  EXPECT_EQ(work.at("l1_misses_per_ray_modelled"), 3.25);
+  EXPECT_EQ(work.at("llc_misses_per_ray_modelled"), 0.0) << "known to be none";
+  EXPECT_EQ(work.at("cache_model").at("l1").at("ways"), 12);
+  const json& structure = report.at("structures").at(0);
+  expect_fields(structure, {"model", "algorithm", "parameters", "build_ms", "cached", "blob_mib",
+                            "node_count", "leaf_count", "ref_count", "max_depth", "sah_cost"});
+  EXPECT_EQ(structure.at("parameters").at("lambda"), 3.0);
+  EXPECT_EQ(structure.at("cached"), true);
+  EXPECT_EQ(structure.at("blob_mib"), 1.5);
+  EXPECT_TRUE(structure.at("node_count").is_null());
+  EXPECT_EQ(report.at("images"), json::array());
+}
+
+TEST(ReportMd, SaysWhatIsModelledAndOfWhich) {
+  const std::string page = md_of(worked_run());
+  EXPECT_THAT(page, HasSubstr("L1 misses, *modelled*"));
+  EXPECT_THAT(page,
+              HasSubstr("| m | 0 | GRID | 50.5 | - | - | 61.2 | 0.875 | 3.25 | 0.000 | 641 |"));
+  EXPECT_THAT(page, HasSubstr("modelled, not measured"));
+  EXPECT_THAT(page, HasSubstr("48 KiB (12 ways, lines of 64 bytes, as the host's CPU has it)"));
+  EXPECT_THAT(page, HasSubstr("8 MiB (16 ways, lines of 64 bytes, assumed)"));
+  EXPECT_THAT(page, HasSubstr("| m | GRID | 12.0 (cached) | 1.50 | - | - | - | 77 | - | - |"));
+  EXPECT_THAT(page, HasSubstr("1 idle period, 2.50 s together"));
+  EXPECT_THAT(page, Not(HasSubstr("nothing was submitted |")));
+}
+
+TEST(ReportMd, LinksToMontagesOnly) {
+  const RunRecord run = worked_run();
+  const std::string page = report_md(run, analyze(run),
+                                     {"images/a b_view0_montage.png", "images/m_GRID_heat.png",
+                                      "images/m_BVH_STACKLESS_DF_views.png"});
+  EXPECT_THAT(page, HasSubstr("- [images/a b_view0_montage.png](images/a%20b_view0_montage.png)"));
+  EXPECT_THAT(page, HasSubstr("(images/m_BVH_STACKLESS_DF_views.png)"));
+  EXPECT_THAT(page, Not(HasSubstr("m_GRID_heat")));
+}
+
+TEST(ReportHtml, NamesPicturesWithoutBytes) {
+  const json data = data_of(html_of({}, {{"m_view0_montage", ""}, {"m_view0_reference", "foo"}}));
+  EXPECT_EQ(data.at("named_images"), json({"images/m_view0_montage.png"}));
+  EXPECT_EQ(data.at("images").size(), 1u);
+  EXPECT_EQ(data.at("report").at("images").size(), 2u);
+  EXPECT_EQ(data_of(html_of(worked_run()))
+                .at("cache_text")
+                .get<std::string>()
+                .find("Bytes and misses are modelled"),
+            0u);
+}
+
 TEST(ReportMd, SaysWhatAReaderNeeds) {
   const std::string page = md_of(planted::laptop_run());
   EXPECT_THAT(page, HasSubstr("# energyprof: dragon"));

@@ -55,12 +55,23 @@ TEST_F(WriteReports, WritesFourFilesAndNothingElse) {
 
 TEST_F(WriteReports, TakesThePicturesOfTheRun) {
   fs::create_directory(directory_ / "images");
-  std::ofstream(directory_ / "images" / "dragon_0_GRID.png") << "foobar";
+  std::ofstream(directory_ / "images" / "dragon_view0_reference.png") << "foobar";
+  std::ofstream(directory_ / "images" / "dragon_view0_GRID_heat.png") << "barfoo";
+  std::ofstream(directory_ / "images" / "dragon_view0_montage.png") << "barfoo";
   std::ofstream(directory_ / "images" / "notes.txt") << "no picture";
   write_reports({}, analyze({}), directory_);
   std::ifstream in(directory_ / "report.html");
   const std::string page{std::istreambuf_iterator<char>(in), {}};
-  EXPECT_THAT(page, AllOf(HasSubstr("Zm9vYmFy"), HasSubstr("dragon_0_GRID")));
+  // Reference images are shown, the others are named.
+  EXPECT_THAT(page, AllOf(HasSubstr("Zm9vYmFy"), HasSubstr("dragon_view0_reference")));
+  EXPECT_THAT(page, AllOf(Not(HasSubstr("YmFyZm9v")), HasSubstr("dragon_view0_montage.png")));
+  const json images = parse("report.json").at("images");
+  ASSERT_EQ(images.size(), 3u);
+  EXPECT_EQ(images[0], (json{{"file", "images/dragon_view0_GRID_heat.png"}, {"kind", "heat"}}));
+  EXPECT_EQ(images[2].at("kind"), "reference");
+  std::ifstream md(directory_ / "report.md");
+  EXPECT_THAT((std::string{std::istreambuf_iterator<char>(md), {}}),
+              HasSubstr("](images/dragon_view0_montage.png)"));
 }
 
 TEST_F(WriteReports, SaysWhereItCouldNotWrite) {

@@ -36,6 +36,26 @@ TEST(TrialOrder, EachAlgorithmStandsInEachPlaceEquallyOften) {
   for (const auto& [place, n] : count) EXPECT_EQ(n, 3);
 }
 
+TEST(TrialOrder, AnySixBlocksInARowAreALatinSquare) {
+  // Six algorithms on 3 models x 3 views, twice: 18 blocks, across the seam of the repetitions too.
+  constexpr size_t n = 6;
+  for (uint32_t seed = 0; seed < 50; ++seed) {
+    SCOPED_TRACE(seed);
+    const auto plan = plan_trials({3, 3, n, 2}, true, seed);
+    for (size_t block = 0; block + n <= plan.size() / n; ++block)
+      for (size_t i = 0; i < n; ++i) {
+        std::set<size_t> row;     // one block, all places
+        std::set<size_t> column;  // one place, all blocks
+        for (size_t j = 0; j < n; ++j) {
+          row.insert(plan[(block + i) * n + j].algorithm);
+          column.insert(plan[(block + j) * n + i].algorithm);
+        }
+        ASSERT_EQ(row.size(), n);
+        ASSERT_EQ(column.size(), n);
+      }
+  }
+}
+
 TEST(TrialOrder, BlocksStayTogether) {
   const auto plan = plan_trials({3, 3, 4, 2}, true, 7);
   for (size_t i = 0; i < plan.size(); i += 4)

@@ -81,6 +81,14 @@ TEST_F(RunDb, WhatGoesInComesOut) {
     trial.end_ns = 500;
     trial.skip_reason = "device lost";
     trial.sah_cost = 12.5;
+    trial.ref_count = 31;
+    trial.build_config = R"({"preset":"paper"})";
+    trial.build_cached = true;
+    trial.bytes_per_pixel = 640.5;
+    trial.l1_misses_per_ray = 1.25;
+    trial.llc_misses_per_ray = 0.0;  // known to be none
+    trial.footprint_bytes = 4096;
+    trial.cache_model = R"({"modelled":true})";
     writer.put_trial(trial);  // replaces
     FrameRecord frame;
     frame.id = 7;
@@ -93,6 +101,8 @@ TEST_F(RunDb, WhatGoesInComesOut) {
     frame.ray_count = 4;
     frame.hit_checksum = "00ff00ff00ff00ff";
     frame.node_visit_count = 17;
+    frame.loop_step_count = 19;
+    frame.simd_efficiency = 0.75;
     writer.add_frame(frame);
     writer.add_event({150, std::nullopt, Severity::warning, "sensor-gone", 1, "went away"});
     writer.close();
@@ -112,11 +122,21 @@ TEST_F(RunDb, WhatGoesInComesOut) {
   EXPECT_EQ(run.trials[0].skip_reason, "device lost");
   EXPECT_EQ(run.trials[0].sah_cost, 12.5);
   EXPECT_EQ(run.trials[0].build_ns, std::nullopt);
+  EXPECT_EQ(run.trials[0].ref_count, 31);
+  EXPECT_EQ(run.trials[0].build_config, R"({"preset":"paper"})");
+  EXPECT_EQ(run.trials[0].build_cached, true);
+  EXPECT_EQ(run.trials[0].bytes_per_pixel, 640.5);
+  EXPECT_EQ(run.trials[0].l1_misses_per_ray, 1.25);
+  EXPECT_EQ(run.trials[0].llc_misses_per_ray, 0.0);
+  EXPECT_EQ(run.trials[0].footprint_bytes, 4096);
+  EXPECT_EQ(run.trials[0].cache_model, R"({"modelled":true})");
   ASSERT_EQ(run.frames.size(), 1u);
   EXPECT_EQ(run.frames[0].phase, Phase::counted);
   EXPECT_EQ(run.frames[0].hit_checksum, "00ff00ff00ff00ff");
   EXPECT_EQ(run.frames[0].hit_count, std::nullopt);
   EXPECT_EQ(run.frames[0].node_visit_count, 17);
+  EXPECT_EQ(run.frames[0].loop_step_count, 19);
+  EXPECT_EQ(run.frames[0].simd_efficiency, 0.75);
   ASSERT_EQ(run.events.size(), 1u);
   EXPECT_EQ(run.events[0].channel_id, 1);
   EXPECT_EQ(run.events[0].severity, Severity::warning);

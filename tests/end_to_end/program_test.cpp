@@ -1,10 +1,13 @@
 // The program from outside: its outputs, its exit codes, the exact line for each kind of bad input.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <png.h>
 
 #include <chrono>
 #include <nlohmann/json.hpp>
+#include <set>
 #include <thread>
+#include <tuple>
 
 #include "core/run_db.h"
 #include "tests/end_to_end/program.h"
@@ -31,10 +34,16 @@ class Program : public testing::Test {
     arguments.insert(arguments.begin(), ENERGYPROF_PROGRAM);
     return arguments;
   }
+  /// `env`, and what keeps a test to itself: structures are kept in its own folder.
+  [[nodiscard]] Environment environment(Environment env = {}) const {
+    env.insert({"XDG_CACHE_HOME", (dir_ / "cache").string()});
+    env.insert({"MESA_SHADER_CACHE_DIR", fs::temp_directory_path().string()});
+    return env;
+  }
   /// Runs the program with Vulkan validation, whose messages fail it, unless `env` says otherwise.
-  static Output program(const Arguments& arguments, Environment env = {}) {
+  [[nodiscard]] Output program(const Arguments& arguments, Environment env = {}) const {
     env.insert({"ENERGYPROF_VALIDATION", "1"});
-    return test::run(command(arguments), env);
+    return test::run(command(arguments), environment(env));
   }
 
   /// A study of the teapot that takes a second, with `more` arguments.
@@ -53,7 +62,8 @@ class Program : public testing::Test {
   static constexpr const char* small_config = R"({
     // Comments are allowed.
     "name": "small", "models": ["teapot:2"], "algorithms": ["BVH_FTB_DF"],
-    "image": {"width": 64, "height": 36}, "frames": {"warmup": 1, "timed": 8}
+    "image": {"width": 64, "height": 36}, "frames": {"warmup": 1, "timed": 8},
+    "idle": {"before_s": 0, "between_s": 0, "after_s": 0}
   })";
 
   test::TempDir dir_;
@@ -78,8 +88,10 @@ json read_json(const fs::path& file) { return json::parse(read_text(file)); }
 TEST_F(Tracing, LeavesEverythingItPromises) {
   const Output output = program(small_study());
   ASSERT_EQ(output.code, 0) << output.err;
-  for (const char* name : {"run.sqlite", "timeline.json", "report.json", "report.md", "report.html",
-                           "images/teapot_2_view0_reference.png"}) {
+  for (const char* name :
+       {"run.sqlite", "timeline.json", "report.json", "report.md", "report.html",
+        "images/teapot_2_view0_reference.png", "images/teapot_2_view0_BVH_FTB_DF_heat.png",
+        "images/teapot_2_view0_montage.png"}) {
     EXPECT_TRUE(fs::exists(out() / name)) << name;
   }
   EXPECT_FALSE(fs::exists(out() / "run.sqlite-wal"));
@@ -97,6 +109,26 @@ TEST_F(Tracing, LeavesEverythingItPromises) {
     EXPECT_EQ(frame.hit_checksum.size(), 16u);
     EXPECT_GE(frame.ray_count, 64 * 36);
     EXPECT_EQ(frame.node_visit_count.has_value(), frame.phase == Phase::counted);
+    EXPECT_EQ(frame.loop_step_count.has_value(), frame.phase == Phase::counted);
+    EXPECT_EQ(frame.simd_efficiency.has_value(), frame.phase == Phase::counted);
+    if (frame.simd_efficiency) {
+      EXPECT_GT(*frame.simd_efficiency, 0.0);
+      EXPECT_LE(*frame.simd_efficiency, 1.0);
+    }
+  }
+  for (const Trial& trial : run.trials) {
+    EXPECT_EQ(json::parse(trial.build_config).at("buckets"), 12);
+    EXPECT_EQ(trial.build_cached, false);
+    EXPECT_EQ(trial.ref_count, trial.triangle_count);
+    EXPECT_GT(trial.bytes_per_pixel, 0.0);
+    EXPECT_GT(trial.l1_misses_per_ray, 0.0);
+    EXPECT_GE(trial.l1_misses_per_ray, trial.llc_misses_per_ray);
+    EXPECT_GT(trial.footprint_bytes, 0);
+    EXPECT_EQ(json::parse(trial.cache_model).at("modelled"), true);
+    for (const FrameRecord& frame : run.frames)
+      if (frame.trial_id == trial.id) {
+        EXPECT_LE(frame.end_ns, trial.end_ns);
+      }
   }
   EXPECT_FALSE(run.channels.empty());
   EXPECT_FALSE(run.series.empty());
@@ -122,6 +154,170 @@ TEST_F(Tracing, TwoRunsHitTheSame) {
   ASSERT_EQ(first.frames.size(), second.frames.size());
   for (size_t i = 0; i < first.frames.size(); ++i)
     EXPECT_EQ(first.frames[i].hit_checksum, second.frames[i].hit_checksum);
+}
+
+// ---------------------------------------------------------------------------- algorithms
+
+constexpr const char* all_algorithms =
+    R"(algorithms=["BVH_FTB_DF","BVH_FTB_BF","BVH_STACKLESS_DF","KD_TREE","KD_STACK","GRID"])";
+
+/// Whether a PNG has pixels of more than one colour.
+bool has_colours(const fs::path& file) {
+  png_image image{};
+  image.version = PNG_IMAGE_VERSION;
+  if (png_image_begin_read_from_file(&image, file.c_str()) == 0) return false;
+  image.format = PNG_FORMAT_RGB;
+  std::vector<uint8_t> rgb(PNG_IMAGE_SIZE(image));
+  if (png_image_finish_read(&image, nullptr, rgb.data(), 0, nullptr) == 0) return false;
+  for (size_t i = 3; i < rgb.size(); ++i)
+    if (rgb[i] != rgb[i % 3]) return true;
+  return false;
+}
+
+TEST_F(Tracing, AllAlgorithmsHitTheSameAndGetTheirPictures) {
+  const Output output =
+      program(small_study({"--set", all_algorithms, "--set", "frames.timed=2", "--set",
+                           R"(models=["teapot:3","teapot:2"])", "--set", "views=[0,2]"}));
+  ASSERT_EQ(output.code, 0) << output.err;
+  const RunRecord run = read_run(out());
+  ASSERT_EQ(run.trials.size(), 2u * 2 * 6);
+  std::map<int64_t, const Trial*> trials;
+  for (const Trial& trial : run.trials) {
+    EXPECT_EQ(trial.skip_reason, "") << trial.algorithm;
+    trials[trial.id] = &trial;
+  }
+  std::map<std::tuple<std::string, int64_t, int64_t>, std::set<std::string>> found;
+  for (const FrameRecord& frame : run.frames) {
+    const Trial& trial = *trials.at(frame.trial_id);
+    found[{trial.model, trial.view, frame.frame}].insert(frame.hit_checksum);
+  }
+  EXPECT_EQ(found.size(), 2u * 2 * 4);
+  for (const auto& [frame, checksums] : found) EXPECT_EQ(checksums.size(), 1u);
+
+  // KD_TREE and KD_STACK traverse one structure; the three BVHs are three files.
+  size_t kept_count = 0;
+  for ([[maybe_unused]] const auto& entry :
+       fs::directory_iterator(dir_ / "cache/energyprof/structures"))
+    ++kept_count;
+  EXPECT_EQ(kept_count, 2u * 5);
+
+  const json report = read_json(out() / "report.json");
+  for (const json& cell : report["cells"]) {
+    EXPECT_EQ(cell["checksums_agree"], true);
+    const std::string model = cell["model"] == "teapot:3" ? "teapot_3" : "teapot_2";
+    const fs::path heat = out() / "images" /
+                          (model + "_view" + cell["view"].dump() + "_" +
+                           cell["algorithm"].get<std::string>() + "_heat.png");
+    EXPECT_TRUE(has_colours(heat)) << heat;
+  }
+  EXPECT_EQ(report["structures"].size(), 2u * 6);
+  EXPECT_TRUE(has_colours(out() / "images/teapot_2_BVH_STACKLESS_DF_views.png"));
+  EXPECT_TRUE(has_colours(out() / "images/teapot_3_view2_montage.png"));
+  EXPECT_THAT(read_text(out() / "report.md"), HasSubstr("](images/teapot_2_view0_montage.png)"));
+}
+
+TEST_F(Tracing, KeptStructuresAreUsedAndNeverTrusted) {
+  const auto study = [&] {
+    fs::remove_all(out());
+    return program(small_study({"--set", "views=[0]"}));
+  };
+  ASSERT_EQ(study().code, 0);
+  const RunRecord first = read_run(out());
+  ASSERT_EQ(study().code, 0);
+  const RunRecord second = read_run(out());
+  ASSERT_EQ(first.trials.size(), 1u);
+  ASSERT_EQ(second.trials.size(), 1u);
+  EXPECT_EQ(first.trials[0].build_cached, false);
+  EXPECT_EQ(second.trials[0].build_cached, true);
+  EXPECT_EQ(second.trials[0].build_ns, first.trials[0].build_ns);
+
+  fs::path kept;
+  for (const auto& entry : fs::directory_iterator(dir_ / "cache/energyprof/structures"))
+    kept = entry.path();
+  std::string bytes = read_text(kept);
+  bytes[bytes.size() / 2] = static_cast<char>(bytes[bytes.size() / 2] ^ 1);
+  std::ofstream(kept, std::ios::binary) << bytes;
+  const Output output = study();
+  EXPECT_EQ(output.code, 0) << output.err;
+  EXPECT_THAT(output.err, HasSubstr(kept.string()));
+  const RunRecord third = read_run(out());
+  EXPECT_EQ(third.trials[0].build_cached, false);
+  EXPECT_EQ(std::count_if(third.events.begin(), third.events.end(),
+                          [](const Event& event) {
+                            return event.kind == "cache" && event.severity == Severity::warning;
+                          }),
+            1);
+  ASSERT_EQ(third.frames.size(), first.frames.size());
+  for (size_t i = 0; i < third.frames.size(); ++i) {
+    EXPECT_EQ(second.frames[i].hit_checksum, first.frames[i].hit_checksum);
+    EXPECT_EQ(third.frames[i].hit_checksum, first.frames[i].hit_checksum);
+  }
+}
+
+TEST_F(Tracing, WithoutTheStructureCacheNothingIsKept) {
+  ASSERT_EQ(program(small_study({"--quiet", "--set", "structure_cache=false"})).code, 0);
+  EXPECT_FALSE(fs::exists(dir_ / "cache/energyprof"));
+}
+
+TEST_F(Tracing, ACacheThatCannotBeWrittenCostsAnEvent) {
+  const Output output = program(small_study(), {{"XDG_CACHE_HOME", "/proc/nowhere"}});
+  EXPECT_EQ(output.code, 0) << output.err;
+  const RunRecord run = read_run(out());
+  for (const Trial& trial : run.trials) EXPECT_EQ(trial.skip_reason, "");
+  EXPECT_EQ(std::count_if(run.events.begin(), run.events.end(),
+                          [](const Event& event) { return event.kind == "cache"; }),
+            1);
+}
+
+TEST_F(Tracing, AModelThatCannotBeHadCostsItsTrials) {
+  const Output output = program(small_study({"--set", R"(models=["/nowhere/x.ply","teapot:2"])"}));
+  EXPECT_EQ(output.code, 0) << output.err;
+  EXPECT_THAT(output.err, HasSubstr("without /nowhere/x.ply: cannot read '/nowhere/x.ply'"));
+  const RunRecord run = read_run(out());
+  ASSERT_EQ(run.trials.size(), 6u);
+  for (const Trial& trial : run.trials)
+    EXPECT_EQ(trial.skip_reason, trial.model == "teapot:2"
+                                     ? ""
+                                     : "cannot read '/nowhere/x.ply': No such file or directory.");
+  const json report = read_json(out() / "report.json");
+  EXPECT_EQ(report["cells"].size(), 3u);
+  EXPECT_EQ(report["ranking"].size(), 1u);
+}
+
+TEST_F(Tracing, IdlePeriodsAreRecordedAndLieOutsideTheTrials) {
+  const Output output = program(small_study(
+      {"--set", R"(idle={"before_s":0.3,"between_s":0.1,"after_s":0.2})", "--set", "views=[0,1]"}));
+  ASSERT_EQ(output.code, 0) << output.err;
+  const RunRecord run = read_run(out());
+  std::vector<Event> idle;
+  std::copy_if(run.events.begin(), run.events.end(), std::back_inserter(idle),
+               [](const Event& event) { return event.kind == "idle"; });
+  ASSERT_EQ(idle.size(), 3u);
+  const int64_t least_ns[] = {300'000'000, 100'000'000, 200'000'000};
+  for (size_t i = 0; i < idle.size(); ++i) {
+    EXPECT_EQ(idle[i].severity, Severity::info);
+    ASSERT_TRUE(idle[i].end_ns);
+    EXPECT_GE(*idle[i].end_ns - idle[i].t_ns, least_ns[i]);
+    for (const FrameRecord& frame : run.frames)
+      EXPECT_TRUE(frame.end_ns <= idle[i].t_ns || frame.submit_ns >= *idle[i].end_ns);
+    for (const Trial& trial : run.trials)
+      EXPECT_TRUE(*trial.end_ns <= idle[i].t_ns || trial.begin_ns >= *idle[i].end_ns);
+  }
+  EXPECT_THAT(read_text(out() / "report.md"), HasSubstr("3 idle periods"));
+}
+
+TEST_F(Tracing, TheConfigsCachesAreModelled) {
+  const Output output = program(small_study(
+      {"--set",
+       R"(cache_model={"l1_kib":4,"l1_ways":4,"llc_kib":64,"llc_ways":8,"line_bytes":128})",
+       "--set", "views=[0]"}));
+  ASSERT_EQ(output.code, 0) << output.err;
+  const json model = json::parse(read_run(out()).trials.at(0).cache_model);
+  EXPECT_EQ(model["l1"],
+            (json{{"size_bytes", 4096}, {"ways", 4}, {"line_bytes", 128}, {"source", "config"}}));
+  EXPECT_EQ(model["llc"]["size_bytes"], 65536);
+  EXPECT_THAT(read_text(out() / "report.md"),
+              HasSubstr("4 KiB (4 ways, lines of 128 bytes, from the config)"));
 }
 
 TEST_F(Tracing, QuietMeansNothingOnStderr) {
@@ -244,6 +440,19 @@ void wait_for(const Process& process, const std::string& text) {
   FAIL() << "never said: " << text;
 }
 
+TEST_F(Tracing, CtrlCEndsAnIdlePeriodAtOnce) {
+  Process process(command(small_study({"--set", "idle.before_s=600"})), environment());
+  for (int i = 0; i < 200 && !fs::exists(out() / "run.sqlite"); ++i)
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  std::this_thread::sleep_for(std::chrono::milliseconds(500));
+  process.send(SIGINT);
+  EXPECT_EQ(process.wait().code, 130);
+  const RunRecord run = read_run(out());
+  EXPECT_TRUE(run.frames.empty());
+  EXPECT_TRUE(std::any_of(run.events.begin(), run.events.end(),
+                          [](const Event& event) { return event.kind == "idle"; }));
+}
+
 class Ending : public Tracing {
  protected:
   /// A study of 300 trials: it will not end by itself in time.
@@ -253,7 +462,7 @@ class Ending : public Tracing {
 };
 
 TEST_F(Ending, CtrlCKeepsAndAnalysesWhatWasMeasured) {
-  Process process(long_study(), {});
+  Process process(long_study(), environment());
   wait_for(process, "[2/300]");
   process.send(SIGINT);
   const Output output = process.wait();
@@ -266,8 +475,8 @@ TEST_F(Ending, CtrlCKeepsAndAnalysesWhatWasMeasured) {
 }
 
 TEST_F(Ending, CtrlCTwiceEndsAtOnce) {
-  Arguments arguments = small_study({"--set", "image={\"width\":2800,\"height\":2800}"});
-  Process process(command(arguments), {{"ENERGYPROF_VALIDATION", "0"}});
+  Arguments arguments = small_study({"--set", "image={\"width\":2300,\"height\":2300}"});
+  Process process(command(arguments), environment({{"ENERGYPROF_VALIDATION", "0"}}));
   for (int i = 0; i < 200 && !fs::exists(out() / "run.sqlite"); ++i)
     std::this_thread::sleep_for(std::chrono::milliseconds(50));
   std::this_thread::sleep_for(std::chrono::seconds(1));  // now inside a frame of several seconds
@@ -280,7 +489,7 @@ TEST_F(Ending, CtrlCTwiceEndsAtOnce) {
 }
 
 TEST_F(Ending, KilledRunOpensAndCanBeAnalysed) {
-  Process process(long_study(), {});
+  Process process(long_study(), environment());
   wait_for(process, "[4/300]");
   process.send(SIGKILL);
   EXPECT_EQ(process.wait().code, 128 + SIGKILL);
@@ -294,9 +503,9 @@ TEST_F(Ending, KilledRunOpensAndCanBeAnalysed) {
 }
 
 TEST_F(Ending, FullDiskIsOneLineAndKeepsWhatWasRecorded) {
-  // A 2 MiB disk in a mount namespace of its own; the run directory is looked at from inside.
+  // A 1 MiB disk in a mount namespace of its own; the run directory is looked at from inside.
   const std::string script =
-      "mount -t tmpfs -o size=2m none \"$1\" || exit 99; shift\n"
+      "mount -t tmpfs -o size=1m none \"$1\" || exit 99; shift\n"
       "\"$@\"; code=$?\n"
       "sqlite3 \"$RUN/run.sqlite\" 'select count(*) > 0 from samples' >&2; exit $code";
   fs::create_directory(dir_ / "disk");
@@ -305,7 +514,7 @@ TEST_F(Ending, FullDiskIsOneLineAndKeepsWhatWasRecorded) {
   Arguments all{"unshare", "--map-root-user",       "--mount", "bash", "-c", script,
                 "bash",    (dir_ / "disk").string()};
   all.insert(all.end(), study.begin(), study.end());
-  const Output output = test::run(all, {{"RUN", (dir_ / "disk/run").string()}});
+  const Output output = test::run(all, environment({{"RUN", (dir_ / "disk/run").string()}}));
   if (output.code == 99 || output.err.find("unshare") != std::string::npos)
     GTEST_SKIP() << "cannot mount a small disk here: " << output.err;
   EXPECT_EQ(output.code, 1);
@@ -317,7 +526,7 @@ TEST_F(Ending, FullDiskIsOneLineAndKeepsWhatWasRecorded) {
 }
 
 TEST_F(Tracing, APictureThatCannotBeWrittenCostsAnEventOnly) {
-  Process process(command(small_study({"--set", "frames.timed=200"})), {});
+  Process process(command(small_study({"--set", "frames.timed=200"})), environment());
   for (int i = 0; i < 200 && !fs::exists(out() / "run.sqlite"); ++i)
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
   fs::remove_all(out() / "images");
@@ -489,7 +698,8 @@ INSTANTIATE_TEST_SUITE_P(
         BadConfig{"unknown_top_key",
                   {"--set", "modles=[]"},
                   "CONFIG: /: unknown key 'modles'; expected algorithms, analysis, bounces, "
-                  "cooldown, frames, image, models, name, order, question, sampler, views"},
+                  "cache_model, cooldown, frames, idle, image, models, name, order, question, "
+                  "sampler, structure_cache, structures, views"},
         BadConfig{
             "wrong_type",
             {"--set", "image.width=big"},
@@ -501,10 +711,20 @@ INSTANTIATE_TEST_SUITE_P(
                   {"--set", "algorithms.0=BHV"},
                   "CONFIG: /algorithms/0: \"BHV\" is not allowed; expected BVH_FTB_DF, BVH_FTB_BF, "
                   "BVH_STACKLESS_DF, KD_TREE, KD_STACK, GRID"},
-        BadConfig{"algorithm_not_built",
-                  {"--set", "algorithms.0=GRID"},
-                  "CONFIG: /algorithms/0: 'GRID' is not built yet in this version; available: "
-                  "BVH_FTB_DF"},
+        BadConfig{"preset",
+                  {"--set", "structures.bvh.preset=best"},
+                  "CONFIG: /structures/bvh/preset: \"best\" is not allowed; expected paper, tuned"},
+        BadConfig{"lambda",
+                  {"--set", "structures.grid.lambda=64.5"},
+                  "CONFIG: /structures/grid/lambda: 64.5 is not allowed; expected a number above "
+                  "0, up to 64: cells per triangle"},
+        BadConfig{"unknown_parameter",
+                  {"--set", "structures.grid.cells=7"},
+                  "CONFIG: /structures/grid: unknown key 'cells'; expected exact_overlap, lambda, "
+                  "preset"},
+        BadConfig{"cache_line",
+                  {"--set", "cache_model.line_bytes=48"},
+                  "CONFIG: /cache_model/line_bytes: 48 is not allowed; expected 32, 64, 128, 256"},
         BadConfig{"view_7",
                   {"--set", "views=[7]"},
                   "CONFIG: /views/0: 7 is not allowed; expected a view number 0, 1 or 2, or an "

@@ -20,11 +20,14 @@ class Faults : public testing::Test {
   }
 
   [[nodiscard]] TraceSetup setup() const {
-    return {.blob = blob_, .constants = constants_, .config = {.rows_per_dispatch = 8}};
+    return {.blob = scene_.blob,
+            .triangles = scene_.triangles,
+            .constants = constants_,
+            .config = {.rows_per_dispatch = 8}};
   }
   /// What a healthy device says.
   [[nodiscard]] std::string expected_checksum(uint32_t frame) const {
-    return trace_brute_force(blob_, constants_, frame).checksum;
+    return trace_brute_force(scene_, constants_, frame).checksum;
   }
   /// True if begin and end lie between submission and now, within the error.
   static testing::AssertionResult lies_in_time(const FrameRecord& record) {
@@ -37,7 +40,7 @@ class Faults : public testing::Test {
            << record.end_ns - record.submit_ns << " ns after submission, +- " << error_ns;
   }
 
-  const AccelBlob blob_ = build_halves(random_triangles(200, 3));
+  const Scene scene_ = build_halves(random_triangles(200, 3));
   const gpu::FrameConstants constants_ = looking_at_cube(40, 30);
 };
 
@@ -94,7 +97,8 @@ TEST_F(Faults, AHangEndsAsALostDevice) {
 TEST_F(Faults, MissingMemoryNamesTheBufferAndItsSize) {
   // In the order in which they are allocated.
   const std::vector<std::string> buffers{"node buffer", "reference buffer", "triangle buffer",
-                                         "hit buffer",  "work buffer",      "sum buffer"};
+                                         "hit buffer",  "work buffer",      "lane buffer",
+                                         "sum buffer"};
   for (size_t i = 0; i < buffers.size(); ++i) {
     SCOPED_TRACE(buffers[i]);
     const ScopedFault fault("out-of-memory:" + std::to_string(i + 1));
@@ -112,10 +116,12 @@ TEST_F(Faults, MissingMemoryNamesTheBufferAndItsSize) {
 TEST_F(Faults, ABufferBeyondTheLimitIsRefusedByNumber) {
   const ScopedFault fault("small-range");
   ValidatedDevice device;
-  AccelBlob blob = blob_;
-  blob.nodes.resize(2u << 20u);
-  const std::string error = error_of<std::runtime_error>(
-      [&] { TraceProgram(*device, {.blob = blob, .constants = constants_}); });
+  Scene scene = scene_;
+  scene.blob.nodes.resize(2u << 20u);
+  const std::string error = error_of<std::runtime_error>([&] {
+    TraceProgram(*device,
+                 {.blob = scene.blob, .triangles = scene.triangles, .constants = constants_});
+  });
   EXPECT_EQ(error, "no Vulkan device fits: '" + device->info().name +
                        "': maxStorageBufferRange is 1 MiB, the node buffer needs 2 MiB.");
 }
@@ -168,7 +174,7 @@ TEST_F(Faults, DiscreteDevicesGetTheirDataThroughStagingBuffers) {
   ValidatedDevice device;
   EXPECT_EQ(device->info().type, "discrete");
   TraceProgram program(*device, setup());
-  const ExpectedFrame expected = trace_brute_force(blob_, constants_, 5);
+  const ExpectedFrame expected = trace_brute_force(scene_, constants_, 5);
   EXPECT_EQ(program.run_frame(5, Phase::timed).hit_checksum, expected.checksum);
   EXPECT_EQ(program.run_frame(5, Phase::counted).hit_checksum, expected.checksum);
   const auto hits = program.read_hits();
@@ -185,10 +191,11 @@ TEST_F(Faults, StagingCopiesMoreThanItsBufferHolds) {
   // leaves the first one empty.
   const ScopedFault fault("device-type:discrete");
   ValidatedDevice device;
-  const AccelBlob blob = build_halves({{{-9, -9, 1}, {9, -9, 1}, {0.5f, 0.9f, 1}}});
+  const Scene scene = build_halves({{{-9, -9, 1}, {9, -9, 1}, {0.5f, 0.9f, 1}}});
   const gpu::FrameConstants constants = looking_at_cube(1024, 1025);
-  TraceProgram program(*device, {.blob = blob, .constants = constants});
-  const ExpectedFrame expected = trace_brute_force(blob, constants, 0);
+  TraceProgram program(*device,
+                       {.blob = scene.blob, .triangles = scene.triangles, .constants = constants});
+  const ExpectedFrame expected = trace_brute_force(scene, constants, 0);
   EXPECT_EQ(program.run_frame(0, Phase::timed).hit_checksum, expected.checksum);
   const auto hits = program.read_hits();
   ASSERT_EQ(hits.size(), expected.hits.size());
@@ -205,14 +212,15 @@ TEST_F(Faults, GpusBeginWithSmallDispatchesAndGrow) {
   const ScopedFault fault("device-type:integrated");
   ValidatedDevice device;
   const gpu::FrameConstants constants = looking_at_cube(16, 200);
-  TraceProgram program(*device, {.blob = blob_, .constants = constants});
+  TraceProgram program(
+      *device, {.blob = scene_.blob, .triangles = scene_.triangles, .constants = constants});
   const FrameRecord first = program.run_frame(0, Phase::warmup);
   EXPECT_EQ(first.dispatch_count, 7);  // 200 rows in tiles of 32
   // So small an image soon goes in one dispatch, compilation of the first frame or not.
   FrameRecord last;
   for (uint32_t frame = 1; frame < 20; ++frame) last = program.run_frame(frame, Phase::timed);
   EXPECT_EQ(last.dispatch_count, 1);
-  EXPECT_EQ(last.hit_checksum, trace_brute_force(blob_, constants, 19).checksum);
+  EXPECT_EQ(last.hit_checksum, trace_brute_force(scene_, constants, 19).checksum);
 }
 
 }  // namespace

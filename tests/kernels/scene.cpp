@@ -63,6 +63,7 @@ class TreeWriter {
     nodes_.push_back({vec4(box.low, 0.0f), vec4(box.high, 0.0f)});
     if (ids.size() == 1) {
       nodes_[node].min_link.w = as_float(static_cast<int32_t>(ids[0]));
+      nodes_[node].max_link.w = as_float(1);
       return;
     }
     deepest_ = std::max(deepest_, depth + 1);
@@ -73,22 +74,20 @@ class TreeWriter {
     write(ids.subspan(middle), depth + 1, split);
   }
 
-  AccelBlob blob() const {
-    AccelBlob blob;
+  Scene scene() const {
+    Scene scene;
+    AccelBlob& blob = scene.blob;
     Box box;
-    std::vector<gpu::Triangle> records;
     for (const Corners& corners : triangles_) {
       box.add(corners);
-      records.push_back(to_gpu(corners));
+      scene.triangles.push_back(to_gpu(corners));
     }
     const auto nodes = std::as_bytes(std::span(nodes_));
-    const auto triangles = std::as_bytes(std::span(records));
     blob.nodes.assign(nodes.begin(), nodes.end());
-    blob.triangles.assign(triangles.begin(), triangles.end());
     blob.bounds_min = box.low;
     blob.bounds_max = box.high;
     blob.max_depth = deepest_;
-    return blob;
+    return scene;
   }
 
  private:
@@ -116,9 +115,7 @@ gpu::Hit test_triangle(gpu::Hit best, const gpu::Ray& ray, const gpu::Triangle& 
 
 /// Traces every pixel with `trace(ray, counts)`.
 template <typename Trace>
-ExpectedFrame trace_image(const AccelBlob& blob, const gpu::FrameConstants& constants,
-                          Trace&& trace) {
-  const auto triangles = view<gpu::Triangle>(blob.triangles);
+ExpectedFrame trace_image(const Scene& scene, const gpu::FrameConstants& constants, Trace&& trace) {
   ExpectedFrame frame;
   gpu::uint sum_x = 0;
   gpu::uint sum_y = 0;
@@ -132,7 +129,7 @@ ExpectedFrame trace_image(const AccelBlob& blob, const gpu::FrameConstants& cons
       frame.ray_count += 1;
       frame.hit_count += hit.prim_id != 0;
       if (hit.prim_id != 0 && constants.bounce_count == 1) {
-        const gpu::Triangle& triangle = triangles[hit.prim_id - 1];
+        const gpu::Triangle& triangle = scene.triangles[hit.prim_id - 1];
         const vec3 normal(triangle.v0_nx.w, triangle.e1_ny.w, triangle.e2_nz.w);
         const gpu::Hit second =
             trace(gpu::bounce_ray(constants, ray, hit.t, normal, pixel), counts);
@@ -177,10 +174,10 @@ std::vector<Corners> random_triangles(uint32_t count, uint32_t seed) {
   return triangles;
 }
 
-AccelBlob build_halves(const std::vector<Corners>& triangles) {
+Scene build_halves(const std::vector<Corners>& triangles) {
   TreeWriter writer(triangles);
   std::vector<uint32_t> ids = all_ids(triangles);
-  if (ids.empty()) return writer.blob();
+  if (ids.empty()) return writer.scene();
   writer.write(ids, 0, [&](std::span<uint32_t> part) {
     Box box;
     for (const uint32_t id : part) box.add(triangles[id].a);
@@ -191,14 +188,14 @@ AccelBlob build_halves(const std::vector<Corners>& triangles) {
               [&](uint32_t a, uint32_t b) { return triangles[a].a[axis] < triangles[b].a[axis]; });
     return std::pair(part.size() / 2, axis);
   });
-  return writer.blob();
+  return writer.scene();
 }
 
-AccelBlob build_chain(const std::vector<Corners>& triangles) {
+Scene build_chain(const std::vector<Corners>& triangles) {
   TreeWriter writer(triangles);
   std::vector<uint32_t> ids = all_ids(triangles);
   writer.write(ids, 0, [](std::span<uint32_t> part) { return std::pair(part.size() - 1, 0); });
-  return writer.blob();
+  return writer.scene();
 }
 
 gpu::FrameConstants looking_at_cube(uint32_t width, uint32_t height) {
@@ -214,11 +211,10 @@ gpu::FrameConstants looking_at_cube(uint32_t width, uint32_t height) {
   return constants;
 }
 
-ExpectedFrame trace_brute_force(const AccelBlob& blob, gpu::FrameConstants constants,
-                                uint32_t frame) {
+ExpectedFrame trace_brute_force(const Scene& scene, gpu::FrameConstants constants, uint32_t frame) {
   constants.frame = frame;
-  const auto triangles = view<gpu::Triangle>(blob.triangles);
-  return trace_image(blob, constants, [&](const gpu::Ray& ray, gpu::PixelCounts&) {
+  const std::vector<gpu::Triangle>& triangles = scene.triangles;
+  return trace_image(scene, constants, [&](const gpu::Ray& ray, gpu::PixelCounts&) {
     gpu::Hit best{ray.t_max, 0};
     for (uint32_t id = 0; id < triangles.size(); ++id) {
       best = test_triangle(best, ray, triangles[id], id);
@@ -227,11 +223,11 @@ ExpectedFrame trace_brute_force(const AccelBlob& blob, gpu::FrameConstants const
   });
 }
 
-ExpectedFrame trace_tree(const AccelBlob& blob, gpu::FrameConstants constants, uint32_t frame) {
+ExpectedFrame trace_tree(const Scene& scene, gpu::FrameConstants constants, uint32_t frame) {
   constants.frame = frame;
-  const auto nodes = view<gpu::BvhNode>(blob.nodes);
-  const auto triangles = view<gpu::Triangle>(blob.triangles);
-  return trace_image(blob, constants, [&](const gpu::Ray& ray, gpu::PixelCounts& counts) {
+  const auto nodes = view<gpu::BvhNode>(scene.blob.nodes);
+  const std::vector<gpu::Triangle>& triangles = scene.triangles;
+  return trace_image(scene, constants, [&](const gpu::Ray& ray, gpu::PixelCounts& counts) {
     gpu::Hit best{ray.t_max, 0};
     const vec3 inv_d = gpu::inverse_direction(ray.direction);
     const std::function<void(uint32_t)> visit = [&](uint32_t id) {

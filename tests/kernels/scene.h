@@ -23,12 +23,18 @@ struct Corners {
 /// `count` triangles in the unit cube, each at most 0.4 across.
 std::vector<Corners> random_triangles(uint32_t count, uint32_t seed);
 
+/// A structure and its triangles.
+struct Scene {
+  AccelBlob blob;
+  std::vector<gpu::Triangle> triangles;
+};
+
 /// A tree over the triangles: halves by number along the longest side, one triangle a leaf.
-AccelBlob build_halves(const std::vector<Corners>& triangles);
+Scene build_halves(const std::vector<Corners>& triangles);
 
 /// A tree as deep as there are triangles: each inner node has the rest as its left child and one
 /// triangle as its right one, all split along x.
-AccelBlob build_chain(const std::vector<Corners>& triangles);
+Scene build_chain(const std::vector<Corners>& triangles);
 
 /// A camera in front of the unit cube that sees all of it, with one bounce.
 gpu::FrameConstants looking_at_cube(uint32_t width, uint32_t height);
@@ -43,10 +49,9 @@ struct ExpectedFrame {
 };
 
 /// Every ray against every triangle.
-ExpectedFrame trace_brute_force(const AccelBlob& blob, gpu::FrameConstants constants,
-                                uint32_t frame);
+ExpectedFrame trace_brute_force(const Scene& scene, gpu::FrameConstants constants, uint32_t frame);
 /// The traversal of BVH_FTB_DF.
-ExpectedFrame trace_tree(const AccelBlob& blob, gpu::FrameConstants constants, uint32_t frame);
+ExpectedFrame trace_tree(const Scene& scene, gpu::FrameConstants constants, uint32_t frame);
 
 /// Sets an environment variable for as long as it lives.
 class ScopedEnvironment {
