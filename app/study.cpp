@@ -12,6 +12,7 @@
 #include <thread>
 
 #include "accel/cache_model.h"
+#include "accel/trace_cpu.h"
 #include "analysis/stats.h"
 #include "app/cache_choice.h"
 #include "app/heat_map.h"
@@ -36,6 +37,7 @@ namespace fs = std::filesystem;
 
 constexpr double cooldown_band_c =
     5.0;  // a trial begins within this of the run's first temperature
+constexpr size_t verified_pixel_limit = size_t{1} << 21;
 constexpr int reference_frame_limit = 64;
 constexpr int64_t reference_time_limit_ns = 3 * ns_per_s;
 constexpr auto wait_step = std::chrono::milliseconds(20);  // between looks at Ctrl-C
@@ -293,10 +295,39 @@ class Study {
     trial.end_ns = now_ns();
     writer_->put_trial(trial);
     if (InterruptGuard::requested()) return "interrupted";
+    if (trial.repetition == 0) verify(program.read_hits(), setup, trial);
     picture([&] {
       if (!pictures_.has_reference(trial.model, trial.view)) render_reference(program, trial);
     });
     return fmt::format("{} frames, median {:.2f} ms", timed_ms.size(), analysis::median(timed_ms));
+  }
+
+  /// Compares the counted frame with the CPU's: a driver may end loops early or miscompile a
+  /// kernel, and nothing else would tell. A trial that fails keeps its data and is not used.
+  void verify(const std::vector<gpu::PixelHits>& hits, const kernels::TraceSetup& setup,
+              Trial& trial) {
+    if (hits.size() > verified_pixel_limit) {
+      writer_->add_event({now_ns(), std::nullopt, Severity::info, "verification", std::nullopt,
+                          fmt::format("frames of {} pixels are not compared with the CPU's; up to "
+                                      "{} are",
+                                      hits.size(), verified_pixel_limit)});
+      return;
+    }
+    gpu::FrameConstants constants = setup.constants;
+    constants.frame = static_cast<uint32_t>(frames_per_trial_ - 1);
+    const accel::CpuFrame expected =
+        accel::trace_cpu(setup.kernel, {setup.blob, setup.triangles}, constants);
+    size_t different = 0;
+    for (size_t i = 0; i < hits.size(); ++i)
+      if (hits[i].primary_id != expected.hits[i].primary_id ||
+          hits[i].bounce_id != expected.hits[i].bounce_id)
+        ++different;
+    if (different <= 1 + hits.size() / 10'000) return;
+    trial.skip_reason = fmt::format(
+        "{} of {} pixels hit other triangles than the CPU finds with the same traversal; 1 in "
+        "10,000 may. The driver '{}' cannot be trusted with this kernel",
+        different, hits.size(), device_->info().name);
+    writer_->put_trial(trial);
   }
 
   static void describe(const Structure& structure, Trial& trial) {

@@ -31,7 +31,6 @@ struct BvhNode {
 };
 
 const uint kd_leaf = 3u;
-const uint no_node = 0xFFFFFFFFu;  // below the first entry of a stack
 
 // 8 bytes. Low two bits of `word`: split axis of an inner node, or kd_leaf.
 //   inner node: split plane as float bits; word >> 2: the child above the plane

@@ -11,7 +11,6 @@ EP_FN Hit trace_grid(Ray ray) {
   vec3 high = xyz(constants.bounds_max);
   count_box_test();
   vec2 scene = box_span(low, high, ray.origin, inv_d, ray.t_min, ray.t_max);
-  if (scene.x > scene.y) return best;
 
   vec3 size = vec3(constants.up.w, constants.forward.w, constants.bounds_min.w);
   vec3 extent = (high - low) / size;  // of a cell
@@ -24,25 +23,32 @@ EP_FN Hit trace_grid(Ray ray) {
   // The plane through which the ray leaves cell number c: low + (c + ahead) extent.
   vec3 ahead = 0.5f * forth + 0.5f;
   vec3 base = low - ray.origin;
-  while (true) {
-    count_step();
-    count_node_visit();
-    GridCell content =
-        load_grid_cell(uint(cell.x) + uint(size.x) * (uint(cell.y) + uint(size.y) * uint(cell.z)));
-    best = test_leaf(best, ray, content.first, content.count);
-    vec3 t = (base + (cell + ahead) * extent) * inv_d;
-    float leave = min(t.x, min(t.y, t.z));
-    if (widened(best.t) < leave) break;
-    if (t.x <= leave) {
-      cell.x += forth.x;
-      if (cell.x < 0.0f || cell.x > last.x) break;
-    } else if (t.y <= leave) {
-      cell.y += forth.y;
-      if (cell.y < 0.0f || cell.y > last.y) break;
-    } else {
-      cell.z += forth.z;
-      if (cell.z < 0.0f || cell.z > last.z) break;
+  bool inside = scene.x <= scene.y;
+  while (inside) {
+    // On to the next cell that holds something: lanes of a subgroup test their triangles together.
+    uint first = 0u;
+    uint count = 0u;
+    float leave = 0.0f;
+    while (inside && count == 0u) {
+      count_step();
+      count_node_visit();
+      GridCell content = load_grid_cell(
+          uint(cell.x) + uint(size.x) * (uint(cell.y) + uint(size.y) * uint(cell.z)));
+      first = content.first;
+      count = content.count;
+      vec3 t = (base + (cell + ahead) * extent) * inv_d;
+      leave = min(t.x, min(t.y, t.z));
+      bool through_x = t.x <= leave;
+      bool through_y = !through_x && t.y <= leave;
+      bool through_z = !through_x && !through_y;
+      cell.x += through_x ? forth.x : 0.0f;
+      cell.y += through_y ? forth.y : 0.0f;
+      cell.z += through_z ? forth.z : 0.0f;
+      inside = widened(best.t) >= leave && cell.x >= 0.0f && cell.x <= last.x && cell.y >= 0.0f &&
+               cell.y <= last.y && cell.z >= 0.0f && cell.z <= last.z;
     }
+    best = test_leaf(best, ray, first, count);
+    inside = inside && widened(best.t) >= leave;
   }
   return best;
 }

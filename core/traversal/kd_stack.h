@@ -9,14 +9,14 @@ EP_FN Hit trace_kd_stack(Ray ray) {
   count_box_test();
   vec2 scene = box_span(xyz(constants.bounds_min), xyz(constants.bounds_max), ray.origin, inv_d,
                         ray.t_min, ray.t_max);
-  if (scene.x > scene.y) return best;
   float t_min = scene.x;
   float t_max = scene.y;
   uint stack[stack_size];
   float stack_t[stack_size];  // where the ray leaves the node of that entry
   uint entry_count = 0u;
   uint node_id = 0u;
-  while (true) {
+  bool running = scene.x <= scene.y;
+  while (running) {
     count_step();
     count_node_visit();
     KdNode node = load_kd_node(node_id);
@@ -30,14 +30,16 @@ EP_FN Hit trace_kd_stack(Ray ray) {
         t_max = split.t;
       }
       node_id = far_only ? split.far_id : split.near_id;
-      continue;
+    } else {
+      best = test_leaf(best, ray, node.plane_or_first, node.word >> 2u);
+      running = entry_count != 0u && widened(best.t) >= t_max;
+      if (running) {
+        entry_count--;
+        t_min = t_max;
+        t_max = stack_t[entry_count];
+        node_id = stack[entry_count];
+      }
     }
-    best = test_leaf(best, ray, node.plane_or_first, node.word >> 2u);
-    if (entry_count == 0u || widened(best.t) < t_max) break;
-    entry_count--;
-    t_min = t_max;
-    t_max = stack_t[entry_count];
-    node_id = stack[entry_count];
   }
   return best;
 }

@@ -11,7 +11,8 @@ EP_FN Hit trace_kd_tree(Ray ray) {
   vec2 scene = box_span(xyz(constants.bounds_min), xyz(constants.bounds_max), ray.origin, inv_d,
                         ray.t_min, ray.t_max);
   float t_min = scene.x;
-  while (t_min <= scene.y) {
+  bool running = scene.x <= scene.y;
+  while (running) {
     // Down to the leaf at t_min; t_max is where the ray leaves it.
     float t_max = scene.y;
     uint node_id = 0u;
@@ -28,7 +29,7 @@ EP_FN Hit trace_kd_tree(Ray ray) {
     }
     count_step();
     best = test_leaf(best, ray, node.plane_or_first, node.word >> 2u);
-    if (widened(best.t) < t_max || t_max >= scene.y) break;
+    running = widened(best.t) >= t_max && t_max < scene.y;
     t_min = t_max;
   }
   return best;

@@ -230,15 +230,16 @@ ExpectedFrame trace_tree(const Scene& scene, gpu::FrameConstants constants, uint
   return trace_image(scene, constants, [&](const gpu::Ray& ray, gpu::PixelCounts& counts) {
     gpu::Hit best{ray.t_max, 0};
     const vec3 inv_d = gpu::inverse_direction(ray.direction);
-    const std::function<void(uint32_t)> visit = [&](uint32_t id) {
+    const auto is_hit = [&](uint32_t id) {
       ++counts.node_visits;
       ++counts.box_tests;
+      const gpu::BvhNode& node = nodes[id];
+      return gpu::enter_box(vec3(node.min_link), vec3(node.max_link), ray.origin, inv_d, ray.t_min,
+                            best.t) >= 0.0f;
+    };
+    const std::function<void(uint32_t)> visit = [&](uint32_t id) {
       ++counts.loop_steps;
       const gpu::BvhNode& node = nodes[id];
-      if (gpu::enter_box(vec3(node.min_link), vec3(node.max_link), ray.origin, inv_d, ray.t_min,
-                         best.t) < 0.0f) {
-        return;
-      }
       const int link = gpu::floatBitsToInt(node.min_link.w);
       if (link >= 0) {
         ++counts.prim_tests;
@@ -249,10 +250,16 @@ ExpectedFrame trace_tree(const Scene& scene, gpu::FrameConstants constants, uint
       const uint32_t left = id + 1;
       const uint32_t right = gpu::floatBitsToUint(node.max_link.w);
       const bool left_is_near = ray.direction[-link - 1] >= 0.0f;
-      visit(left_is_near ? left : right);
-      visit(left_is_near ? right : left);
+      const uint32_t near_id = left_is_near ? left : right;
+      const uint32_t far_id = left_is_near ? right : left;
+      const bool near_is_hit = is_hit(near_id);
+      const bool far_is_hit = is_hit(far_id);
+      if (near_is_hit) visit(near_id);
+      if (far_is_hit) visit(far_id);
     };
-    if (!nodes.empty()) visit(0);
+    if (nodes.empty()) return best;
+    ++counts.loop_steps;
+    if (is_hit(0)) visit(0);
     return best;
   });
 }
