@@ -21,6 +21,8 @@
 #include <vector>
 
 #include "accel/bvh.h"
+#include "accel/grid.h"
+#include "accel/kdtree.h"
 #include "accel/models.h"
 #include "core/gpu_layout.h"
 
@@ -79,6 +81,25 @@ NamedBuild bvh(std::string name, const accel::BvhConfig& config, AccelKind layou
             if (outcome == nullptr) return;
             outcome->sah = unit_sah(built.blob);
             outcome->depth = static_cast<double>(built.stats.max_depth);
+            outcome->mib = static_cast<double>(built.blob.byte_count()) / bytes_per_mib;
+          }};
+}
+
+/// SAH cost with the builder's own constants, which are 1 in all but the paper's tree.
+NamedBuild kdtree(std::string name, const accel::KdTreeConfig& config) {
+  return {std::move(name), [config](const accel::Mesh& mesh, int, Outcome* outcome) {
+            const accel::Built built = accel::build_kdtree(mesh, config);
+            if (outcome == nullptr) return;
+            outcome->sah = built.stats.sah_cost;
+            outcome->depth = static_cast<double>(built.stats.max_depth);
+            outcome->mib = static_cast<double>(built.blob.byte_count()) / bytes_per_mib;
+          }};
+}
+
+NamedBuild grid(std::string name, const accel::GridConfig& config) {
+  return {std::move(name), [config](const accel::Mesh& mesh, int, Outcome* outcome) {
+            const accel::Built built = accel::build_grid(mesh, config);
+            if (outcome == nullptr) return;
             outcome->mib = static_cast<double>(built.blob.byte_count()) / bytes_per_mib;
           }};
 }
@@ -211,6 +232,8 @@ NamedBuild embree_scene() {
 std::vector<NamedBuild> named_builds() {
   accel::BvhConfig swept = accel::tuned_bvh();
   swept.method = accel::BvhConfig::Method::sweep;
+  accel::KdTreeConfig like_peers = accel::tuned_kdtree();
+  like_peers.keep_touching = false;
   return {
       bvh("bvh paper, depth first", {}, AccelKind::bvh_depth_first),
       bvh("bvh paper, breadth first", {}, AccelKind::bvh_breadth_first),
@@ -219,6 +242,11 @@ std::vector<NamedBuild> named_builds() {
       bvh("bvh tuned, breadth first", accel::tuned_bvh(), AccelKind::bvh_breadth_first),
       bvh("bvh tuned, miss links", accel::tuned_bvh(), AccelKind::bvh_miss_links),
       bvh("bvh swept, depth first", swept, AccelKind::bvh_depth_first),
+      kdtree("kd-tree paper", {}),
+      kdtree("kd-tree tuned", accel::tuned_kdtree()),
+      kdtree("kd-tree tuned, not keep_touching", like_peers),
+      grid("grid paper", {}),
+      grid("grid tuned", accel::tuned_grid()),
 #ifdef ENERGYPROF_EMBREE
       embree_tree(),
       embree_scene(),
