@@ -44,6 +44,7 @@ struct Ray {
   vec3 direction;  // unit length
   float t_min;
   float t_max;
+  vec3 inv_d;  // inverse_direction(direction)
 };
 
 struct Hit {
@@ -88,6 +89,17 @@ EP_FN vec3 cross3(vec3 a, vec3 b) {
   return vec3(x, y, z);
 }
 
+// 1 / direction with zeros replaced by +-1e-20: no infinity, so no 0 * inf when a ray lies in a
+// slab.
+EP_FN float safe_inverse(float d) {
+  if (abs(d) >= 1e-20f) return 1.0f / d;
+  return (floatBitsToUint(d) >> 31u) != 0u ? -1e20f : 1e20f;
+}
+
+EP_FN vec3 inverse_direction(vec3 d) {
+  return vec3(safe_inverse(d.x), safe_inverse(d.y), safe_inverse(d.z));
+}
+
 // The primary ray of a pixel, jittered inside it.
 EP_FN Ray primary_ray(FrameConstants c, uint x, uint y) {
   uint pixel = y * c.width + x;
@@ -105,6 +117,7 @@ EP_FN Ray primary_ray(FrameConstants c, uint x, uint y) {
   ray.direction = vec3(dx / length_d, dy / length_d, dz / length_d);
   ray.t_min = c.origin_tmin.w;
   ray.t_max = c.right_tmax.w;
+  ray.inv_d = inverse_direction(ray.direction);
   return ray;
 }
 
@@ -143,18 +156,8 @@ EP_FN Ray bounce_ray(FrameConstants c, Ray incoming, float t, vec3 normal, uint 
   ray.direction = d;
   ray.t_min = incoming.t_min;
   ray.t_max = incoming.t_max;
+  ray.inv_d = inverse_direction(d);
   return ray;
-}
-
-// 1 / direction with zeros replaced by +-1e-20: no infinity, so no 0 * inf when a ray lies in a
-// slab.
-EP_FN float safe_inverse(float d) {
-  if (abs(d) >= 1e-20f) return 1.0f / d;
-  return (floatBitsToUint(d) >> 31u) != 0u ? -1e20f : 1e20f;
-}
-
-EP_FN vec3 inverse_direction(vec3 d) {
-  return vec3(safe_inverse(d.x), safe_inverse(d.y), safe_inverse(d.z));
 }
 
 // The far end of a ray's stay in a box or cell, widened by 1e-6 so that no ray slips between two
@@ -206,8 +209,22 @@ EP_FN Hit closer_hit(Hit best, Ray ray, vec3 v0, vec3 e1, vec3 e2, uint prim) {
   precise float v = dot3(ray.direction, q) * inv_det;
   precise float uv = u + v;
   if (!(v >= 0.0f && uv <= 1.0f)) return best;
-  precise float t = dot3(e2, q) * inv_det;
-  if (!(t >= ray.t_min && t <= best.t)) return best;
+  precise float t_plane = dot3(e2, q) * inv_det;
+  // Where the ray is in the triangle's box. For a sliver rounding can make t_plane a hit beside it,
+  // which no structure would visit; this way all agree on what is hit, and where. The box is padded
+  // for its own rounding, by less than the structures' boxes are.
+  vec3 v1 = v0 + e1;
+  vec3 v2 = v0 + e2;
+  vec3 low =
+      vec3(min(v0.x, min(v1.x, v2.x)), min(v0.y, min(v1.y, v2.y)), min(v0.z, min(v1.z, v2.z)));
+  vec3 high =
+      vec3(max(v0.x, max(v1.x, v2.x)), max(v0.y, max(v1.y, v2.y)), max(v0.z, max(v1.z, v2.z)));
+  vec3 padding = 1.1920929e-7f * vec3(max(abs(low.x), abs(high.x)), max(abs(low.y), abs(high.y)),
+                                      max(abs(low.z), abs(high.z)));
+  vec2 span = box_span(low - padding, high + padding, ray.origin, ray.inv_d, ray.t_min, ray.t_max);
+  if (span.x > span.y) return best;
+  float t = min(max(t_plane, span.x), span.y);
+  if (!(t_plane >= ray.t_min && t <= best.t)) return best;
   if (t == best.t && best.prim_id != 0u && best.prim_id <= prim + 1u) return best;
   Hit hit;
   hit.t = t;

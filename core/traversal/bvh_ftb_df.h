@@ -7,7 +7,7 @@
 
 EP_FN Hit trace_bvh_ftb_df(Ray ray) {
   Hit best = no_hit(ray);
-  vec3 inv_d = inverse_direction(ray.direction);
+  vec3 inv_d = ray.inv_d;
   // Number and words of a node are pushed, so that it need not be loaded again.
   uint stack_id[stack_size];
   uint stack_word[stack_size];

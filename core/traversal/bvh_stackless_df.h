@@ -6,7 +6,7 @@
 
 EP_FN Hit trace_bvh_stackless_df(Ray ray) {
   Hit best = no_hit(ray);
-  vec3 inv_d = inverse_direction(ray.direction);
+  vec3 inv_d = ray.inv_d;
   uint node_id = 0u;
   while (node_id < constants.node_count) {
     // On to the next leaf whose box is hit: lanes of a subgroup test their triangles together.

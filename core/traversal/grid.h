@@ -6,7 +6,7 @@
 
 EP_FN Hit trace_grid(Ray ray) {
   Hit best = no_hit(ray);
-  vec3 inv_d = inverse_direction(ray.direction);
+  vec3 inv_d = ray.inv_d;
   vec3 low = xyz(constants.bounds_min);
   vec3 high = xyz(constants.bounds_max);
   count_box_test();

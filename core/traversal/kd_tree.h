@@ -6,7 +6,7 @@
 
 EP_FN Hit trace_kd_tree(Ray ray) {
   Hit best = no_hit(ray);
-  vec3 inv_d = inverse_direction(ray.direction);
+  vec3 inv_d = ray.inv_d;
   count_box_test();
   vec2 scene = box_span(xyz(constants.bounds_min), xyz(constants.bounds_max), ray.origin, inv_d,
                         ray.t_min, ray.t_max);

@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 #include <rapidcheck/gtest.h>
 
+#include <random>
+
 #include "accel/gpu_triangles.h"
 #include "accel/models.h"
 #include "accel/structure.h"
@@ -139,6 +141,47 @@ TEST(Agreement, HoldsForOriginsInsideTheScene) {
   for_each_structure(mesh, [&](std::string_view algorithm, const AccelBlob& blob) {
     const CpuFrame found = trace_cpu(algorithm, {blob, triangles}, camera);
     EXPECT_EQ(test::different_pixels(expected.hits, found.hits), 0u);
+  });
+}
+
+TEST(Agreement, HoldsForNeedlesSeenFromAfar) {
+  // Triangles a thousandth long and a millionth wide, a unit away: rounding makes rays hit them
+  // that pass beside them.
+  std::mt19937 random(37);
+  std::uniform_real_distribution<float> unit(-1.0f, 1.0f);
+  const auto point = [&] { return glm::vec3(unit(random), unit(random), unit(random)); };
+  Mesh mesh;
+  std::vector<gpu::FrameConstants> rays;
+  for (uint32_t i = 0; i < 1000; ++i) {
+    const glm::vec3 tip = point();
+    const glm::vec3 along = 1e-3f * glm::normalize(point());
+    for (const glm::vec3& corner : {tip, tip + along, tip + 0.9f * along + 1e-6f * point()})
+      mesh.positions.push_back(corner);
+    mesh.triangles.emplace_back(3 * i, 3 * i + 1, 3 * i + 2);
+    const glm::vec3 origin = 2.0f * glm::normalize(point());
+    for (int k = 0; k < 10; ++k)
+      rays.push_back(
+          single_ray(origin, glm::normalize(tip + (0.13f * static_cast<float>(k) - 0.13f) * along +
+                                            1e-6f * point() - origin)));
+  }
+  const std::vector<gpu::Triangle> triangles = gpu_triangles(mesh);
+  std::vector<gpu::PixelHits> expected;
+  int hit_count = 0;
+  for (const gpu::FrameConstants& ray : rays) {
+    expected.push_back(trace_brute_force(triangles, ray).hits[0]);
+    hit_count += expected.back().primary_id != 0 ? 1 : 0;
+  }
+  EXPECT_GT(hit_count, 100);
+  for_each_structure(mesh, [&](std::string_view algorithm, const AccelBlob& blob) {
+    int different = 0;
+    for (size_t i = 0; i < rays.size(); ++i) {
+      const gpu::PixelHits found = trace_cpu(algorithm, {blob, triangles}, rays[i]).hits[0];
+      different +=
+          found.primary_id != expected[i].primary_id || found.primary_t != expected[i].primary_t
+              ? 1
+              : 0;
+    }
+    EXPECT_EQ(different, 0);
   });
 }
 

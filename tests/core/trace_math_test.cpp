@@ -40,7 +40,7 @@ TEST(TraceMath, PrimaryRaysAreUnitLengthAndStayInTheirPixel) {
 TEST(TraceMath, BounceDirectionsAreUniformOverTheHemisphere) {
   // Uniform over a hemisphere: the mean direction is n / 2, the mean of z^2 is 1/3.
   FrameConstants c = constants_looking_down_z();
-  const Ray down = {vec3(0, 0, 5), vec3(0, 0, -1), 1e-4f, 1e13f};
+  const Ray down = {vec3(0, 0, 5), vec3(0, 0, -1), 1e-4f, 1e13f, inverse_direction(vec3(0, 0, -1))};
   double sum_z = 0.0;
   double sum_z2 = 0.0;
   double sum_x = 0.0;
@@ -62,7 +62,8 @@ TEST(TraceMath, BounceDirectionsAreUniformOverTheHemisphere) {
 TEST(TraceMath, TriangleTestDoesNotDependOnTheScale) {
   for (const float scale : {1e-8f, 1e-5f, 1e-3f, 1.0f, 1e4f, 1e8f}) {
     SCOPED_TRACE(scale);
-    const Ray ray = {vec3(0.25f, 0.25f, 1.0f) * scale, vec3(0, 0, -1), 0.0f, 1e30f};
+    const Ray ray = {vec3(0.25f, 0.25f, 1.0f) * scale, vec3(0, 0, -1), 0.0f, 1e30f,
+                     inverse_direction(vec3(0, 0, -1))};
     const Hit hit =
         closer_hit(Hit{1e30f, 0u}, ray, vec3(0), vec3(scale, 0, 0), vec3(0, scale, 0), 41);
     EXPECT_EQ(hit.prim_id, 42u);
@@ -71,7 +72,8 @@ TEST(TraceMath, TriangleTestDoesNotDependOnTheScale) {
 }
 
 TEST(TraceMath, EqualDistancesGoToTheLowerTriangle) {
-  const Ray ray = {vec3(0.25f, 0.25f, 1.0f), vec3(0, 0, -1), 0.0f, 1e30f};
+  const Ray ray = {vec3(0.25f, 0.25f, 1.0f), vec3(0, 0, -1), 0.0f, 1e30f,
+                   inverse_direction(vec3(0, 0, -1))};
   const auto test = [&](Hit best, uint prim) {
     return closer_hit(best, ray, vec3(0), vec3(1, 0, 0), vec3(0, 1, 0), prim);
   };
@@ -81,7 +83,8 @@ TEST(TraceMath, EqualDistancesGoToTheLowerTriangle) {
 }
 
 TEST(TraceMath, DegenerateTrianglesAreNeverHit) {
-  const Ray ray = {vec3(0.5f, 0.0f, 1.0f), vec3(0, 0, -1), 0.0f, 1e30f};
+  const Ray ray = {vec3(0.5f, 0.0f, 1.0f), vec3(0, 0, -1), 0.0f, 1e30f,
+                   inverse_direction(vec3(0, 0, -1))};
   EXPECT_EQ(closer_hit(Hit{1e30f, 0u}, ray, vec3(0), vec3(1, 0, 0), vec3(1, 0, 0), 0).prim_id, 0u);
   EXPECT_EQ(closer_hit(Hit{1e30f, 0u}, ray, vec3(0), vec3(0), vec3(0), 0).prim_id, 0u);
 }
