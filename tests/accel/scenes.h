@@ -93,6 +93,13 @@ inline accel::Mesh decimated(const accel::Mesh& mesh, float cells) {
   return accel::weld(coarse);
 }
 
+/// AddressSanitizer is on: the full dragon would take many minutes, the decimated one must do.
+#ifdef __SANITIZE_ADDRESS__
+inline constexpr bool is_sanitized = true;
+#else
+inline constexpr bool is_sanitized = false;
+#endif
+
 /// A camera outside of `mesh` that looks at its middle.
 inline gpu::FrameConstants camera_for(const accel::Mesh& mesh, uint32_t width, uint32_t height) {
   const accel::Bounds box = accel::bounds(mesh);

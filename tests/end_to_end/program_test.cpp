@@ -541,8 +541,10 @@ TEST_F(Tracing, APictureThatCannotBeWrittenCostsAnEventOnly) {
 
 TEST_F(Tracing, ATrialWhoseHitsAreNotTheCpusIsSkipped) {
   // Mesa 22's CPU driver loses hits of this kernel with 16 lanes (docs/method.md).
-  const Output output = program(small_study({"--set", R"(algorithms=["KD_TREE"])"}),
-                                {{"LP_NATIVE_VECTOR_WIDTH", "512"}});
+  const Output output =
+      program(small_study({"--set", R"(algorithms=["KD_TREE"])", "--set", R"(models=["teapot"])",
+                           "--set", "views=[1]", "--set", R"(image={"width":160,"height":90})"}),
+              {{"LP_NATIVE_VECTOR_WIDTH", "512"}});
   const RunRecord run = read_run(out());
   ASSERT_FALSE(run.trials.empty());
   if (run.trials[0].skip_reason.empty())
