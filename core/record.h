@@ -25,7 +25,15 @@ struct Channel {
   int64_t period_ns = 0;                ///< how often it is polled
   std::optional<int64_t> read_cost_ns;  ///< median cost of one read, measured at start-up
   std::string origin;                   ///< file, event or function the value comes from
-  std::string unit_text;  ///< by read_run(): the unit as stored, even where `unit` has no name
+  /// What the value should stay below (temperature, power) or can reach (clock), in `unit`.
+  std::optional<int64_t> limit;
+  // Measured at start-up, absent where it could not be:
+  std::optional<int64_t> read_cost_p99_ns;
+  std::optional<int64_t> update_period_ns;  ///< median time between two changes of the value
+  std::optional<int64_t> quantum;           ///< the smallest change seen, in `unit`
+  bool wakes_device = false;  ///< a read wakes a sleeping GPU: not polled while the run idles
+  std::string gpu;            ///< PCI address or device name of the GPU it belongs to, or empty
+  std::string unit_text;      ///< by read_run(): the unit as stored, even where `unit` has no name
 };
 
 /// One reading, exactly as the sensor gave it, in Channel::unit.
@@ -33,7 +41,11 @@ struct Sample {
   int32_t channel_id = 0;
   int64_t t_ns = 0;
   int64_t value = 0;
+  /// How long the read took, where that makes t_ns uncertain: it is right within half of this. 0
+  /// up to wide_read_ns.
+  uint32_t width_ns = 0;
 };
+inline constexpr int64_t wide_read_ns = 50'000;
 
 enum class Phase : uint8_t { warmup, timed, counted };
 

@@ -8,6 +8,7 @@ namespace {
 
 constexpr std::array unit_table{
     UnitInfo{Unit::none, "1", "1", 1.0},
+    UnitInfo{Unit::nanojoule, "nJ", "J", 1e-9},
     UnitInfo{Unit::microjoule, "uJ", "J", 1e-6},
     UnitInfo{Unit::millijoule, "mJ", "J", 1e-3},
     UnitInfo{Unit::microwatt, "uW", "W", 1e-6},
@@ -17,6 +18,7 @@ constexpr std::array unit_table{
     UnitInfo{Unit::megahertz, "MHz", "Hz", 1e6},
     UnitInfo{Unit::hertz, "Hz", "Hz", 1.0},
     UnitInfo{Unit::millicelsius, "mC", "C", 1e-3},
+    UnitInfo{Unit::centicelsius, "cC", "C", 1e-2},
     UnitInfo{Unit::celsius, "C", "C", 1.0},
     UnitInfo{Unit::millivolt, "mV", "V", 1e-3},
     UnitInfo{Unit::milliampere, "mA", "A", 1e-3},
@@ -25,9 +27,13 @@ constexpr std::array unit_table{
     UnitInfo{Unit::millisecond, "ms", "s", 1e-3},
     UnitInfo{Unit::clock_tick, "tick", "s", 1e-2},
     UnitInfo{Unit::byte, "B", "B", 1.0},
+    UnitInfo{Unit::byte_per_second, "B/s", "B/s", 1.0},
+    UnitInfo{Unit::megabyte_per_second, "MB/s", "B/s", 1e6},
     UnitInfo{Unit::count, "count", "count", 1.0},
     UnitInfo{Unit::percent, "%", "1", 1e-2},
     UnitInfo{Unit::permille, "permille", "1", 1e-3},
+    UnitInfo{Unit::centipercent, "c%", "1", 1e-4},
+    UnitInfo{Unit::ppm, "ppm", "1", 1e-6},
 };
 
 constexpr std::array<std::string_view, 10> quantity_names{

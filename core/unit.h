@@ -32,6 +32,7 @@ enum class Kind : uint8_t {
 /// The unit in which a sensor reports. Values are recorded in it and converted once, in analysis.
 enum class Unit : uint8_t {
   none,
+  nanojoule,
   microjoule,
   millijoule,
   microwatt,
@@ -41,6 +42,7 @@ enum class Unit : uint8_t {
   megahertz,
   hertz,
   millicelsius,
+  centicelsius,
   celsius,
   millivolt,
   milliampere,
@@ -49,9 +51,13 @@ enum class Unit : uint8_t {
   millisecond,
   clock_tick,  ///< USER_HZ, 1/100 s on Linux
   byte,
+  byte_per_second,
+  megabyte_per_second,
   count,
   percent,
   permille,
+  centipercent,
+  ppm,
 };
 
 struct UnitInfo {

@@ -91,9 +91,7 @@ class CgroupSource final : public SensorSource {
 
  private:
   static Reading reading(const TextFile::Read& read, std::string_view key) noexcept {
-    const std::optional<int64_t> value = find_int(read.text, key);
-    if (read.error == 0 && !value) return {PollStatus::retry, read.t_ns, 0};
-    return {status_of(read.error), read.t_ns, value.value_or(0)};
+    return read.reading(find_int(read.text, key));
   }
 
   std::vector<TextFile> files_;

@@ -24,14 +24,22 @@ namespace {
 
 struct Row {
   std::string_view name;
-  void (*discover)(const Root&, Discovery&);
+  void (*discover)(const Root&, const Selection&, Discovery&);
   bool host_only = false;  // asks the running kernel or a driver, not files below a root
 };
+
+// For sources to which it is all one how they were selected.
+template <void (*discover_source)(const Root&, Discovery&)>
+void plain(const Root& root, const Selection&, Discovery& discovery) {
+  discover_source(root, discovery);
+}
+
+// In this order: of several ways to the same counter, the first one found is recorded.
 constexpr std::array rows{
-    Row{"powercap", discover_powercap},   Row{"hwmon", discover_hwmon},
-    Row{"thermal", discover_thermal},     Row{"cpufreq", discover_cpufreq},
-    Row{"proc_stat", discover_proc_stat}, Row{"psi", discover_psi},
-    Row{"cgroup", discover_cgroup},       Row{"perf", discover_perf_events, true},
+    Row{"powercap", plain<discover_powercap>},   Row{"hwmon", plain<discover_hwmon>},
+    Row{"thermal", plain<discover_thermal>},     Row{"cpufreq", plain<discover_cpufreq>},
+    Row{"proc_stat", plain<discover_proc_stat>}, Row{"psi", plain<discover_psi>},
+    Row{"cgroup", plain<discover_cgroup>},       Row{"perf", plain<discover_perf_events>, true},
 };
 
 void check_names(const Selection& selection) {
@@ -120,7 +128,7 @@ Discovery discover(const Root& root, const Selection& selection) {
       discovery.missing.push_back(
           {std::string(row.name), "not under --root: not read from files", ""});
     else
-      row.discover(root, discovery);
+      row.discover(root, selection, discovery);
   }
   number_channels(discovery);
   return discovery;

@@ -9,11 +9,6 @@
 
 namespace energyprof::probe {
 
-/// Which sources to look for.
-struct Selection {
-  std::vector<std::string> sources;  ///< names as of source_names(); empty: all
-};
-
 /// The names a Selection may contain, in the order of discovery.
 std::vector<std::string> source_names();
 

@@ -16,8 +16,9 @@ std::vector<Channel> channels_of(const std::vector<FileChannel>& rows) {
 
 }  // namespace
 
-FileSource::FileSource(std::string name, int64_t period_ns, std::vector<FileChannel> rows)
-    : SensorSource(std::move(name), period_ns, channels_of(rows)) {
+FileSource::FileSource(std::string name, int64_t period_ns, std::vector<FileChannel> rows,
+                       SourceTraits traits)
+    : SensorSource(std::move(name), period_ns, channels_of(rows), std::move(traits)) {
   files_.reserve(rows.size());
   for (FileChannel& row : rows) files_.push_back(std::move(row.file));
 }
@@ -27,10 +28,10 @@ void FileSource::poll(std::span<Reading> out) noexcept {
 }
 
 void add_file_source(Discovery& discovery, std::string name, int64_t period_ns,
-                     std::vector<FileChannel> rows) {
+                     std::vector<FileChannel> rows, SourceTraits traits) {
   if (rows.empty()) return;
   discovery.sources.push_back(
-      std::make_unique<FileSource>(std::move(name), period_ns, std::move(rows)));
+      std::make_unique<FileSource>(std::move(name), period_ns, std::move(rows), std::move(traits)));
 }
 
 }  // namespace energyprof::probe

@@ -17,7 +17,8 @@ struct FileChannel {
 
 class FileSource final : public SensorSource {
  public:
-  FileSource(std::string name, int64_t period_ns, std::vector<FileChannel> rows);
+  FileSource(std::string name, int64_t period_ns, std::vector<FileChannel> rows,
+             SourceTraits traits = {});
   void poll(std::span<Reading> out) noexcept override;
 
  private:
@@ -26,6 +27,6 @@ class FileSource final : public SensorSource {
 
 /// Adds a FileSource of these rows to `discovery`; nothing for no rows.
 void add_file_source(Discovery& discovery, std::string name, int64_t period_ns,
-                     std::vector<FileChannel> rows);
+                     std::vector<FileChannel> rows, SourceTraits traits = {});
 
 }  // namespace energyprof::probe

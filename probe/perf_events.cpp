@@ -46,9 +46,10 @@ class Counter {
     const int64_t before_ns = now_ns();
     const ssize_t got = ::read(fd_, &count, sizeof count);
     const int error = got < 0 ? errno : 0;
-    const int64_t t_ns = before_ns + (now_ns() - before_ns) / 2;
-    if (error == 0 && got != sizeof count) return {PollStatus::gone, t_ns, 0};
-    return {status_of(error), t_ns, static_cast<int64_t>(count)};
+    const int64_t width_ns = now_ns() - before_ns;
+    const int64_t t_ns = before_ns + width_ns / 2;
+    if (error == 0 && got != sizeof count) return {PollStatus::gone, t_ns, 0, width_ns, error};
+    return {status_of(error), t_ns, static_cast<int64_t>(count), width_ns, error};
   }
 
  private:

@@ -173,7 +173,7 @@ class LimitSource final : public SensorSource {
 
  private:
   static Reading lowest(std::vector<TextFile>& files) noexcept {
-    Reading result{PollStatus::gone, 0, 0};
+    Reading result{.status = PollStatus::gone};
     for (TextFile& file : files) {
       Reading reading = file.read_int();
       // 0 is a limit that was never set.

@@ -62,9 +62,8 @@ class ProcStatSource final : public SensorSource {
     std::array<char, 256> buffer;
     const TextFile::Read read = file_.read(buffer);
     const std::optional<CpuTicks> ticks = parse_cpu_line(read.text);
-    const PollStatus status = read.error == 0 && !ticks ? PollStatus::retry : status_of(read.error);
-    out[0] = {status, read.t_ns, ticks ? ticks->steal : 0};
-    out[1] = {status, read.t_ns, ticks ? ticks->busy : 0};
+    out[0] = read.reading(ticks ? std::optional(ticks->steal) : std::nullopt);
+    out[1] = read.reading(ticks ? std::optional(ticks->busy) : std::nullopt);
   }
 
  private:

@@ -47,12 +47,8 @@ class PsiSource final : public SensorSource {
     for (Resource& resource : resources_) {
       std::array<char, 256> buffer;
       const TextFile::Read read = resource.file.read(buffer);
-      for (const std::string& kind : resource.kinds) {
-        const std::optional<int64_t> value = stall_us(read.text, kind);
-        const PollStatus status =
-            read.error == 0 && !value ? PollStatus::retry : status_of(read.error);
-        out[next++] = {status, read.t_ns, value.value_or(0)};
-      }
+      for (const std::string& kind : resource.kinds)
+        out[next++] = read.reading(stall_us(read.text, kind));
     }
   }
 

@@ -7,6 +7,7 @@
 #include <array>
 #include <cerrno>
 #include <charconv>
+#include <limits>
 #include <system_error>
 #include <utility>
 
@@ -23,11 +24,13 @@ std::string_view trim(std::string_view text) {
   return text.substr(begin, text.find_last_not_of(white_space) - begin + 1);
 }
 
+constexpr int64_t retry_rarely_ns = ns_per_s;
+
+}  // namespace
+
 bool is_transient(int error) {
   return error == EAGAIN || error == EBUSY || error == ETIMEDOUT || error == EINTR;
 }
-
-}  // namespace
 
 PollStatus status_of(int error) {
   switch (error) {
@@ -67,9 +70,9 @@ std::optional<int64_t> find_int(std::string_view text, std::string_view key) {
 TextFile::TextFile(const Root& root, std::string_view path)
     : display_path_(root.display(path)), reopen_(!root.is_host()) {
   Root::Resolved resolved = root.resolve(path);
-  final_error_ = resolved.error;
   host_path_ = std::move(resolved.path);
-  if (final_error_ == 0) final_error_ = root.read_error(host_path_);
+  error_ = resolved.error != 0 ? resolved.error : root.read_error(host_path_);
+  if (error_ != 0) error_until_ns_ = std::numeric_limits<int64_t>::max();
 }
 
 TextFile::~TextFile() {
@@ -81,11 +84,12 @@ TextFile::TextFile(TextFile&& other) noexcept
       host_path_(std::move(other.host_path_)),
       reopen_(other.reopen_),
       fd_(std::exchange(other.fd_, -1)),
-      final_error_(other.final_error_) {}
+      error_(other.error_),
+      error_until_ns_(other.error_until_ns_) {}
 
 TextFile::Read TextFile::read(std::span<char> buffer) noexcept {
   const int64_t before_ns = now_ns();
-  if (final_error_ != 0) return {{}, before_ns, final_error_};
+  if (before_ns < error_until_ns_) return {{}, before_ns, 0, error_};
   int error = 0;
   ssize_t got = 0;
   // O_NOFOLLOW: all links were followed inside the root already; a new one could lead out of it.
@@ -97,18 +101,30 @@ TextFile::Read TextFile::read(std::span<char> buffer) noexcept {
     if (got < 0) error = errno;
   }
   const int64_t after_ns = now_ns();
-  if (fd_ >= 0 && (reopen_ || status_of(error) == PollStatus::gone)) close(std::exchange(fd_, -1));
-  if (status_of(error) == PollStatus::gone) final_error_ = error;
+  const bool is_gone = status_of(error) == PollStatus::gone;
+  if (fd_ >= 0 && (reopen_ || is_gone)) close(std::exchange(fd_, -1));
+  error_ = error;
+  if (is_gone)
+    error_until_ns_ = std::numeric_limits<int64_t>::max();
+  else if (error != 0 && !is_transient(error))
+    error_until_ns_ = after_ns + retry_rarely_ns;
   const size_t byte_count = got > 0 ? static_cast<size_t>(got) : 0;
-  return {{buffer.data(), byte_count}, before_ns + (after_ns - before_ns) / 2, error};
+  return {{buffer.data(), byte_count},
+          before_ns + (after_ns - before_ns) / 2,
+          after_ns - before_ns,
+          error};
+}
+
+Reading TextFile::Read::reading(std::optional<int64_t> value) const {
+  PollStatus status = status_of(error);
+  if (status == PollStatus::ok && !value) status = PollStatus::retry;
+  return {status, t_ns, value.value_or(0), width_ns, error};
 }
 
 Reading TextFile::read_int() noexcept {
   std::array<char, 64> buffer;
   const Read read = this->read(buffer);
-  if (read.error != 0) return {status_of(read.error), read.t_ns, 0};
-  const std::optional<int64_t> value = parse_int(read.text);
-  return {value ? PollStatus::ok : PollStatus::retry, read.t_ns, value.value_or(0)};
+  return read.reading(read.error == 0 ? parse_int(read.text) : std::nullopt);
 }
 
 CheckedFile check_int_file(const Root& root, std::string_view path) {

@@ -17,6 +17,10 @@ namespace energyprof::probe {
 /// sleeping device, EIO of a bus, ...). 0 is ok.
 PollStatus status_of(int error);
 
+/// Whether a failed read is nothing to speak of: the sensor is busy or asleep and may answer at the
+/// next poll (EAGAIN, EBUSY, ETIMEDOUT, EINTR). Other errors that pass are tried again rarely.
+bool is_transient(int error);
+
 /// The integer that is all of `text`, but for white space around it. nullopt for anything else,
 /// numbers beyond 64 bits with sign included.
 std::optional<int64_t> parse_int(std::string_view text);
@@ -37,9 +41,14 @@ class TextFile {
   struct Read {
     std::string_view text;  ///< lies in the caller's buffer
     int64_t t_ns = 0;       ///< midpoint of the clock before and after the read
+    int64_t width_ns = 0;   ///< time between the two
     int error = 0;          ///< errno
+
+    /// A Reading with this read's time and error; `retry` where there is no value.
+    [[nodiscard]] Reading reading(std::optional<int64_t> value) const;
   };
   /// Reads as much as fits. An error that means `gone` is final: later calls repeat it at no cost.
+  /// Other errors, transient ones excepted, are repeated at no cost for a second.
   Read read(std::span<char> buffer) noexcept;
   /// Reads one integer. Text that is none (empty, half-written) is `retry`.
   Reading read_int() noexcept;
@@ -52,7 +61,8 @@ class TextFile {
   std::string host_path_;
   bool reopen_;
   int fd_ = -1;
-  int final_error_ = 0;
+  int error_ = 0;               // repeated without a read ...
+  int64_t error_until_ns_ = 0;  // ... until then; where it is final, for ever
 };
 
 /// A file that should hold one integer, after its first read.

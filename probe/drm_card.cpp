@@ -1,0 +1,82 @@
+// Expects:
+//
+//   sys/class/drm/card1/device            link to the PCI or platform device
+//   sys/class/drm/card1/device/driver     link to ../../../bus/pci/drivers/i915
+//   sys/class/drm/card1/device/uevent     DRIVER=i915, PCI_SLOT_NAME=0000:00:02.0
+//   sys/dev/char/226:1/device             the same device, by the number of its node
+#include "probe/drm_card.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+
+namespace energyprof::probe {
+namespace {
+
+constexpr std::string_view class_dir = "sys/class/drm";
+
+std::string last_part(const std::string& path) { return path.substr(path.rfind('/') + 1); }
+
+bool is_number(std::string_view text) {
+  return !text.empty() && text.find_first_not_of("0123456789") == std::string_view::npos;
+}
+
+// The value after "<key>=" at the start of a line; empty if there is none.
+std::string uevent_value(const Root& root, const std::string& device, std::string_view key) {
+  const std::string text = root.read(device + "/uevent").text.value_or("");
+  for (size_t at = 0; at < text.size();) {
+    const size_t end = std::min(text.find('\n', at), text.size());
+    const std::string_view line = std::string_view(text).substr(at, end - at);
+    if (line.starts_with(key) && line.size() > key.size() && line[key.size()] == '=')
+      return std::string(line.substr(key.size() + 1));
+    at = end + 1;
+  }
+  return {};
+}
+
+std::string driver_of(const Root& root, const std::string& device) {
+  std::string driver = uevent_value(root, device, "DRIVER");
+  if (!driver.empty()) return driver;
+  const Root::Resolved link = root.resolve(device + "/driver");
+  return link.error == 0 ? last_part(link.path) : "";
+}
+
+}  // namespace
+
+std::string gpu_of_device(const Root& root, std::string_view device_path) {
+  const std::string device(device_path);
+  std::string slot = uevent_value(root, device, "PCI_SLOT_NAME");
+  if (!slot.empty()) return slot;
+  const Root::Resolved resolved = root.resolve(device);
+  return resolved.error == 0 ? last_part(resolved.path) : "";
+}
+
+std::vector<DrmCard> list_drm_cards(const Root& root) {
+  std::vector<DrmCard> cards;
+  for (const std::string& entry : root.list(class_dir)) {
+    if (!entry.starts_with("card") || !is_number(std::string_view(entry).substr(4))) continue;
+    DrmCard card{fmt::format("{}/{}", class_dir, entry), {}, {}};
+    const std::string device = card.path + "/device";
+    card.driver = driver_of(root, device);
+    card.gpu = gpu_of_device(root, device);
+    cards.push_back(std::move(card));
+  }
+  return cards;
+}
+
+std::vector<NamedCard> drm_cards_of(const Root& root, std::string_view driver) {
+  std::vector<NamedCard> named;
+  for (DrmCard& card : list_drm_cards(root))
+    if (card.driver == driver) named.push_back({std::move(card), std::string(driver)});
+  if (named.size() > 1)
+    for (NamedCard& one : named) one.prefix += '@' + one.card.gpu;
+  return named;
+}
+
+std::optional<std::string> gpu_of_drm_node(const Root& root, int64_t major, int64_t minor) {
+  std::string gpu = gpu_of_device(root, fmt::format("sys/dev/char/{}:{}/device", major, minor));
+  if (gpu.empty()) return std::nullopt;
+  return gpu;
+}
+
+}  // namespace energyprof::probe
