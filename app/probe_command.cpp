@@ -9,6 +9,7 @@
 #include "app/commands.h"
 #include "core/run_db.h"
 #include "kernels/device.h"
+#include "probe/characterize.h"
 #include "probe/discover.h"
 
 namespace energyprof::app {
@@ -117,8 +118,9 @@ void print_text(const probe::Discovery& discovery, const std::vector<ProbedChann
 }  // namespace
 
 int probe_command(const ProbeOptions& options) {
-  probe::Discovery discovery = probe::discover(probe::Root(options.root));
-  probe::characterize(discovery);
+  const probe::Root root(options.root);
+  probe::Discovery discovery = probe::discover(root);
+  probe::characterize(discovery, root);
   const std::vector<ProbedChannel> probed = poll_once(discovery);
   if (options.json)
     print_json(discovery, probed);

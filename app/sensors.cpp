@@ -6,6 +6,7 @@
 #include <algorithm>
 
 #include "app/usage_error.h"
+#include "probe/characterize.h"
 
 namespace energyprof::app {
 namespace {
@@ -41,7 +42,7 @@ void check_required(const Config& config, const std::vector<Channel>& channels,
 
 Sensors::Sensors(const std::string& root, const Config& config)
     : discovery_(probe::discover(probe::Root(root), selection_of(config))) {
-  probe::characterize(discovery_);
+  probe::characterize(discovery_, probe::Root(root));
   probe::Sampler::Config sampler_config;
   sampler_config.rate_hz = config.sampler_rate_hz;
   sampler_ = std::make_unique<probe::Sampler>(discovery_.sources, sampler_config);

@@ -31,6 +31,7 @@ struct Channel {
   std::optional<int64_t> read_cost_p99_ns;
   std::optional<int64_t> update_period_ns;  ///< median time between two changes of the value
   std::optional<int64_t> quantum;           ///< the smallest change seen, in `unit`
+  bool stands_still = false;  ///< a counter that did not move under load: unsupported, not 0
   bool wakes_device = false;  ///< a read wakes a sleeping GPU: not polled while the run idles
   std::string gpu;            ///< PCI address or device name of the GPU it belongs to, or empty
   std::string unit_text;      ///< by read_run(): the unit as stored, even where `unit` has no name

@@ -134,32 +134,6 @@ Discovery discover(const Root& root, const Selection& selection) {
   return discovery;
 }
 
-void characterize(Discovery& discovery) {
-  constexpr int most_polls = 31;
-  constexpr int64_t source_budget_ns = 5 * ns_per_ms;
-  constexpr int64_t total_budget_ns = 100 * ns_per_ms;
-  const int64_t begin_ns = now_ns();
-  std::vector<Reading> readings;
-  std::vector<int64_t> costs_ns;
-  for (const auto& source : discovery.sources) {
-    readings.resize(source->channels().size());
-    costs_ns.clear();
-    const int64_t source_begin_ns = now_ns();
-    int64_t before_ns = source_begin_ns;
-    do {
-      source->poll(readings);
-      const int64_t after_ns = now_ns();
-      costs_ns.push_back(after_ns - before_ns);
-      before_ns = after_ns;
-    } while (costs_ns.size() < most_polls && before_ns - source_begin_ns < source_budget_ns &&
-             before_ns - begin_ns < total_budget_ns);
-    const auto median = costs_ns.begin() + static_cast<std::ptrdiff_t>(costs_ns.size() / 2);
-    std::nth_element(costs_ns.begin(), median, costs_ns.end());
-    const auto channel_count = static_cast<int64_t>(source->channels().size());
-    for (Channel& channel : source->channels()) channel.read_cost_ns = *median / channel_count;
-  }
-}
-
 std::string verdict(const Discovery& discovery) {
   std::vector<std::string> can;
   std::vector<std::string_view> cannot;

@@ -17,11 +17,6 @@ std::vector<std::string> source_names();
 /// std::runtime_error for a name that is no source.
 Discovery discover(const Root& root, const Selection& selection = {});
 
-/// Reads every source a few times and sets Channel::read_cost_ns to the median cost of a poll,
-/// shared evenly among the source's channels. Takes about 100 ms at most unless a single read is
-/// slow.
-void characterize(Discovery& discovery);
-
 /// One line: what a study on this machine can and cannot conclude.
 std::string verdict(const Discovery& discovery);
 

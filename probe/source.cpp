@@ -19,6 +19,16 @@ SensorSource::SensorSource(std::string name, int64_t period_ns, std::vector<Chan
   }
 }
 
+void SensorSource::set_period_ns(int64_t period_ns) {
+  period_ns_ = period_ns;
+  for (Channel& channel : channels_) channel.period_ns = period_ns;
+}
+
+void SensorSource::mark_waking() {
+  traits_.wakes_device = true;
+  for (Channel& channel : channels_) channel.wakes_device = true;
+}
+
 bool Discovery::has_channel(std::string_view name) const {
   return std::any_of(sources.begin(), sources.end(), [&](const auto& source) {
     const std::span<const Channel> channels = std::as_const(*source).channels();

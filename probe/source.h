@@ -36,7 +36,7 @@ struct SourceTraits {
   bool wakes_device = false;
   /// The GPU it belongs to: "0000:00:02.0" or, where it is no PCI device, the last part of its
   /// device's path ("17000000.gpu"). Empty: it belongs to none.
-  std::string gpu;
+  std::string gpu{};
 };
 
 /// Channels that are read together, at one period.
@@ -53,6 +53,10 @@ class SensorSource {
   /// How often reading makes sense: faster gives repeated values or costs too much.
   [[nodiscard]] int64_t period_ns() const { return period_ns_; }
   [[nodiscard]] const SourceTraits& traits() const { return traits_; }
+  // For characterize(), which finds them out:
+  void set_period_ns(int64_t period_ns);
+  void mark_slow() { traits_.slow = true; }
+  void mark_waking();
   [[nodiscard]] std::span<const Channel> channels() const { return channels_; }
   /// For discover() and characterize(), which fill in ids, unique names and costs.
   [[nodiscard]] std::span<Channel> channels() { return channels_; }

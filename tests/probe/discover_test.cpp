@@ -9,6 +9,7 @@
 #include <stdexcept>
 #include <thread>
 
+#include "probe/characterize.h"
 #include "tree.h"
 
 namespace energyprof::probe {
@@ -47,7 +48,7 @@ TEST(Discover, GivesAReasonForEverythingOnAnEmptyMachine) {
 
 TEST(Discover, WorksOnThisMachine) {
   Discovery found = discover(Root());
-  characterize(found);
+  characterize(found, Root());
   std::set<std::string> heard_of;
   for (const auto& source : found.sources)
     for (const Channel& channel : source->channels()) {

@@ -7,6 +7,7 @@
 #include <set>
 #include <sstream>
 
+#include "probe/characterize.h"
 #include "tree.h"
 
 namespace energyprof::probe {
@@ -48,7 +49,7 @@ class Machine : public testing::TestWithParam<std::string> {};
 TEST_P(Machine, IsDiscoveredAndRead) {
   const Root root(Tree::machine_dir(GetParam()).string(), read_errors(GetParam()));
   Discovery found = discover(root);
-  characterize(found);
+  characterize(found, root, {ns_per_ms, ns_per_ms});
   std::set<std::string> names;
   std::set<std::string> heard_of;
   int32_t id = 0;

@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
+#include <cerrno>
 #include <chrono>
 #include <cmath>
 #include <cstdlib>
@@ -39,8 +40,10 @@ Channel test_channel(int32_t id, std::string name) {
 // Counts its polls; value n at time 3 n. Notes how much its thread has allocated.
 class CountingSource final : public SensorSource {
  public:
-  CountingSource(int32_t id, int64_t period_ns, std::chrono::milliseconds poll_time = {})
-      : SensorSource("test", period_ns, {test_channel(id, "test." + std::to_string(id))}),
+  CountingSource(int32_t id, int64_t period_ns, std::chrono::milliseconds poll_time = {},
+                 SourceTraits traits = {})
+      : SensorSource("test", period_ns, {test_channel(id, "test." + std::to_string(id))},
+                     std::move(traits)),
         poll_time_(poll_time) {}
 
   void poll(std::span<Reading> out) noexcept override {
@@ -287,6 +290,130 @@ TEST(Sampler, ReportsHowLateItWakes) {
   EXPECT_LE(stats.lateness_p50_ns, stats.lateness_p99_ns);
   EXPECT_LE(stats.lateness_p99_ns, stats.lateness_max_ns);
   EXPECT_GT(stats.lateness_max_ns, 0);
+}
+
+TEST(Sampler, DoesNotLetASlowSourceDelayAQuickOne) {
+  Sources sources;
+  sources.push_back(std::make_unique<CountingSource>(1, ns_per_ms));
+  sources.push_back(std::make_unique<CountingSource>(2, ns_per_ms, std::chrono::milliseconds(200),
+                                                     SourceTraits{.slow = true}));
+  auto& quick = static_cast<CountingSource&>(*sources[0]);
+  auto& slow = static_cast<CountingSource&>(*sources[1]);
+  Sampler sampler(sources);
+  sampler.start();
+  EXPECT_EQ(sampler.stats().thread_count, 2);
+  // On one thread the quick source would be polled once for each poll of the slow one.
+  EXPECT_TRUE(wait_for([&] { return slow.poll_count >= 3; }));
+  EXPECT_GT(quick.poll_count, 4 * slow.poll_count);
+  sampler.stop();
+}
+
+TEST(Sampler, PollsNothingBetweenPauseAndResume) {
+  Sources sources;
+  sources.push_back(std::make_unique<CountingSource>(1, ns_per_ms));
+  sources.push_back(std::make_unique<CountingSource>(
+      2, 3600 * ns_per_s, std::chrono::milliseconds(1), SourceTraits{.slow = true}));
+  auto& quick = static_cast<CountingSource&>(*sources[0]);
+  auto& slow = static_cast<CountingSource&>(*sources[1]);
+  Sampler sampler(sources);
+  sampler.pause();  // no effect before start()
+  sampler.start();
+  EXPECT_TRUE(wait_for([&] { return quick.poll_count >= 10; }));
+  EXPECT_EQ(slow.poll_count, 1);
+  sampler.pause();
+  EXPECT_EQ(slow.poll_count, 2);  // a last one
+  const int64_t paused_at = quick.poll_count;
+  const int64_t missed = sampler.stats().missed_tick_count;
+  std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  EXPECT_EQ(quick.poll_count, paused_at);
+  sampler.resume();
+  EXPECT_EQ(slow.poll_count, 3);  // a first one
+  EXPECT_GT(quick.poll_count, paused_at);
+  EXPECT_TRUE(wait_for([&] { return quick.poll_count >= paused_at + 10; }));
+  sampler.pause();
+  // The pause was no missed tick: 50 of them would be.
+  EXPECT_LT(sampler.stats().missed_tick_count - missed, 40);
+  sampler.stop();  // also while paused
+}
+
+TEST(Sampler, LeavesASleepingGpuAloneWhileIdle) {
+  Sources sources;
+  sources.push_back(std::make_unique<CountingSource>(1, ns_per_ms));
+  sources.push_back(std::make_unique<CountingSource>(2, ns_per_ms, std::chrono::milliseconds(0),
+                                                     SourceTraits{.wakes_device = true}));
+  auto& quick = static_cast<CountingSource&>(*sources[0]);
+  auto& waking = static_cast<CountingSource&>(*sources[1]);
+  Sampler sampler(sources);
+  sampler.set_idle(true);
+  sampler.start();
+  EXPECT_TRUE(wait_for([&] { return quick.poll_count >= 20; }));
+  EXPECT_EQ(waking.poll_count, 0);
+  sampler.set_idle(false);
+  EXPECT_TRUE(wait_for([&] { return waking.poll_count >= 5; }));
+  sampler.stop();
+}
+
+TEST(Sampler, TakesPeriodsFromItsConfig) {
+  Sources sources;
+  sources.push_back(std::make_unique<CountingSource>(1, ns_per_ms));
+  Sampler::Config config;
+  config.rate_hz = 1000.0;
+  config.periods_ns["test"] = 25 * ns_per_ms;
+  Sampler sampler(sources, config);
+  EXPECT_EQ(sampler.channels()[0].period_ns, 25 * ns_per_ms);
+}
+
+// Fails with an errno, or takes its time.
+class OddSource final : public SensorSource {
+ public:
+  OddSource(int32_t id, Reading reading)
+      : SensorSource("test", ns_per_ms, {test_channel(id, "test." + std::to_string(id))}),
+        reading_(reading) {}
+  void poll(std::span<Reading> out) noexcept override {
+    ++poll_count;
+    out[0] = reading_;
+    out[0].t_ns = now_ns();
+  }
+  std::atomic<int64_t> poll_count{0};
+
+ private:
+  Reading reading_;
+};
+
+TEST(Sampler, TellsOnceOfASensorThatCannotBeReadNow) {
+  Sources sources;
+  sources.push_back(
+      std::make_unique<OddSource>(1, Reading{.status = PollStatus::retry, .error = EACCES}));
+  sources.push_back(
+      std::make_unique<OddSource>(2, Reading{.status = PollStatus::retry, .error = EAGAIN}));
+  auto& source = static_cast<OddSource&>(*sources[0]);
+  Sampler sampler(sources);
+  sampler.start();
+  EXPECT_TRUE(wait_for([&] { return source.poll_count >= 20; }));
+  sampler.stop();
+  std::vector<Event> events;
+  sampler.drain_events(events);
+  std::erase_if(events, [](const Event& event) { return event.kind == "missed-ticks"; });
+  ASSERT_THAT(events, SizeIs(1));  // EAGAIN is no news
+  EXPECT_EQ(events[0].kind, "sensor-unavailable");
+  EXPECT_EQ(events[0].channel_id, 1);
+  EXPECT_THAT(events[0].text, HasSubstr("Permission denied"));
+}
+
+TEST(Sampler, KeepsTheWidthOfReadsThatTookLong) {
+  Sources sources;
+  sources.push_back(std::make_unique<OddSource>(
+      1, Reading{.status = PollStatus::ok, .value = 7, .width_ns = wide_read_ns}));
+  sources.push_back(std::make_unique<OddSource>(
+      2, Reading{.status = PollStatus::ok, .value = 7, .width_ns = wide_read_ns + 1}));
+  Sampler sampler(sources);
+  sampler.start();
+  sampler.stop();
+  std::vector<Sample> samples;
+  sampler.drain(samples);
+  const auto series = by_channel(samples);
+  EXPECT_EQ(series.at(1).front().width_ns, 0u);
+  EXPECT_EQ(series.at(2).front().width_ns, 50'001u);
 }
 
 }  // namespace
