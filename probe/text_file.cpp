@@ -2,6 +2,7 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <array>
@@ -25,6 +26,7 @@ std::string_view trim(std::string_view text) {
 }
 
 constexpr int64_t retry_rarely_ns = ns_per_s;
+constexpr int64_t path_check_ns = 100 * ns_per_ms;
 
 }  // namespace
 
@@ -68,7 +70,7 @@ std::optional<int64_t> find_int(std::string_view text, std::string_view key) {
 }
 
 TextFile::TextFile(const Root& root, std::string_view path)
-    : display_path_(root.display(path)), reopen_(!root.is_host()) {
+    : display_path_(root.display(path)), may_be_replaced_(!root.is_host()) {
   Root::Resolved resolved = root.resolve(path);
   host_path_ = std::move(resolved.path);
   error_ = resolved.error != 0 ? resolved.error : root.read_error(host_path_);
@@ -82,7 +84,8 @@ TextFile::~TextFile() {
 TextFile::TextFile(TextFile&& other) noexcept
     : display_path_(std::move(other.display_path_)),
       host_path_(std::move(other.host_path_)),
-      reopen_(other.reopen_),
+      may_be_replaced_(other.may_be_replaced_),
+      next_path_check_ns_(other.next_path_check_ns_),
       fd_(std::exchange(other.fd_, -1)),
       error_(other.error_),
       error_until_ns_(other.error_until_ns_) {}
@@ -92,6 +95,7 @@ TextFile::Read TextFile::read(std::span<char> buffer) noexcept {
   if (before_ns < error_until_ns_) return {{}, before_ns, 0, error_};
   int error = 0;
   ssize_t got = 0;
+  if (fd_ >= 0 && may_be_replaced_ && was_replaced(before_ns)) close(std::exchange(fd_, -1));
   // O_NOFOLLOW: all links were followed inside the root already; a new one could lead out of it.
   if (fd_ < 0) fd_ = open(host_path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW);
   if (fd_ < 0) {
@@ -102,7 +106,7 @@ TextFile::Read TextFile::read(std::span<char> buffer) noexcept {
   }
   const int64_t after_ns = now_ns();
   const bool is_gone = status_of(error) == PollStatus::gone;
-  if (fd_ >= 0 && (reopen_ || is_gone)) close(std::exchange(fd_, -1));
+  if (fd_ >= 0 && is_gone) close(std::exchange(fd_, -1));
   error_ = error;
   if (is_gone)
     error_until_ns_ = std::numeric_limits<int64_t>::max();
@@ -113,6 +117,18 @@ TextFile::Read TextFile::read(std::span<char> buffer) noexcept {
           before_ns + (after_ns - before_ns) / 2,
           after_ns - before_ns,
           error};
+}
+
+// Whether the path leads elsewhere now: seen at once when the open file lost its last name, as it
+// does by rename(2) or unlink(2), and within path_check_ns otherwise.
+bool TextFile::was_replaced(int64_t now_ns) noexcept {
+  struct stat open_file {};
+  if (fstat(fd_, &open_file) != 0 || open_file.st_nlink == 0) return true;
+  if (now_ns < next_path_check_ns_) return false;
+  next_path_check_ns_ = now_ns + path_check_ns;
+  struct stat named_file {};
+  return lstat(host_path_.c_str(), &named_file) != 0 || named_file.st_ino != open_file.st_ino ||
+         named_file.st_dev != open_file.st_dev;
 }
 
 Reading TextFile::Read::reading(std::optional<int64_t> value) const {

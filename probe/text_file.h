@@ -28,8 +28,8 @@ std::optional<int64_t> parse_int(std::string_view text);
 /// The integer after `key` at the start of a line ("nr_throttled 2"); nullopt without such a line.
 std::optional<int64_t> find_int(std::string_view text, std::string_view key);
 
-/// One file, opened once and read from its start each time, as sysfs wants it. Below a --root it is
-/// opened at every read, so that files replaced while a run goes on are followed.
+/// One file, opened once and read from its start each time, as sysfs wants it. Below a --root a
+/// file that was replaced meanwhile is opened anew, so that a run follows what happens there.
 class TextFile {
  public:
   /// Never fails; a file that cannot be opened says so at each read().
@@ -57,9 +57,12 @@ class TextFile {
   [[nodiscard]] const std::string& path() const { return display_path_; }
 
  private:
+  bool was_replaced(int64_t now_ns) noexcept;
+
   std::string display_path_;
   std::string host_path_;
-  bool reopen_;
+  bool may_be_replaced_;
+  int64_t next_path_check_ns_ = 0;
   int fd_ = -1;
   int error_ = 0;               // repeated without a read ...
   int64_t error_until_ns_ = 0;  // ... until then; where it is final, for ever

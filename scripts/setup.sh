@@ -57,5 +57,5 @@ setup_build() {
   if [ ! -e "$build_dir/build.ninja" ]; then
     (cd "$root_dir" && cmake --preset "$1") >&2 || return 1
   fi
-  cmake --build "$build_dir" >&2
+  (cd "$root_dir" && cmake --build --preset "$1") >&2
 }
