@@ -26,7 +26,7 @@ std::string_view trim(std::string_view text) {
 }
 
 constexpr int64_t retry_rarely_ns = ns_per_s;
-constexpr int64_t path_check_ns = 100 * ns_per_ms;
+constexpr int64_t path_check_ns = 10 * ns_per_ms;
 
 }  // namespace
 
@@ -119,16 +119,14 @@ TextFile::Read TextFile::read(std::span<char> buffer) noexcept {
           error};
 }
 
-// Whether the path leads elsewhere now: seen at once when the open file lost its last name, as it
-// does by rename(2) or unlink(2), and within path_check_ns otherwise.
+// Whether the path leads elsewhere now; looks every path_check_ns.
 bool TextFile::was_replaced(int64_t now_ns) noexcept {
-  struct stat open_file {};
-  if (fstat(fd_, &open_file) != 0 || open_file.st_nlink == 0) return true;
   if (now_ns < next_path_check_ns_) return false;
   next_path_check_ns_ = now_ns + path_check_ns;
   struct stat named_file {};
-  return lstat(host_path_.c_str(), &named_file) != 0 || named_file.st_ino != open_file.st_ino ||
-         named_file.st_dev != open_file.st_dev;
+  struct stat open_file {};
+  return lstat(host_path_.c_str(), &named_file) != 0 || fstat(fd_, &open_file) != 0 ||
+         named_file.st_ino != open_file.st_ino || named_file.st_dev != open_file.st_dev;
 }
 
 Reading TextFile::Read::reading(std::optional<int64_t> value) const {

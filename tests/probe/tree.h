@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <unistd.h>
 
+#include <chrono>
 #include <filesystem>
 #include <fstream>
 #include <initializer_list>
@@ -11,6 +12,7 @@
 #include <ostream>
 #include <string>
 #include <string_view>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -57,7 +59,11 @@ class Tree {
     std::filesystem::create_directories((path_ / file).parent_path());
     std::filesystem::create_symlink(target, path_ / file);
   }
-  void remove(const std::string& file) const { std::filesystem::remove_all(path_ / file); }
+  /// Returns when readers of the file notice.
+  void remove(const std::string& file) const {
+    std::filesystem::remove_all(path_ / file);
+    std::this_thread::sleep_for(std::chrono::milliseconds(12));
+  }
 
   static std::filesystem::path machine_dir(std::string_view machine) {
     return std::filesystem::path(ENERGYPROF_TEST_DATA) / "sysfs" / machine;
