@@ -10,14 +10,21 @@
 #include <utility>
 
 #include "core/clock.h"
+#include "probe/battery.h"
 #include "probe/cgroup.h"
 #include "probe/cpufreq.h"
+#include "probe/devfreq.h"
 #include "probe/hwmon.h"
+#include "probe/i915.h"
 #include "probe/perf_events.h"
 #include "probe/powercap.h"
 #include "probe/proc_stat.h"
 #include "probe/psi.h"
+#include "probe/raspberrypi.h"
 #include "probe/thermal.h"
+#include "probe/thermal_throttle.h"
+#include "probe/v3d.h"
+#include "probe/xe.h"
 
 namespace energyprof::probe {
 namespace {
@@ -35,12 +42,25 @@ void plain(const Root& root, const Selection&, Discovery& discovery) {
 }
 
 // In this order: of several ways to the same counter, the first one found is recorded.
+// clang-format off
 constexpr std::array rows{
-    Row{"powercap", plain<discover_powercap>},   Row{"hwmon", plain<discover_hwmon>},
-    Row{"thermal", plain<discover_thermal>},     Row{"cpufreq", plain<discover_cpufreq>},
-    Row{"proc_stat", plain<discover_proc_stat>}, Row{"psi", plain<discover_psi>},
-    Row{"cgroup", plain<discover_cgroup>},       Row{"perf", plain<discover_perf_events>, true},
+    Row{"powercap", plain<discover_powercap>},
+    Row{"i915", plain<discover_i915>},
+    Row{"xe", plain<discover_xe>},
+    Row{"hwmon", plain<discover_hwmon>},
+    Row{"thermal", plain<discover_thermal>},
+    Row{"cpufreq", plain<discover_cpufreq>},
+    Row{"thermal_throttle", plain<discover_thermal_throttle>},
+    Row{"devfreq", plain<discover_devfreq>},
+    Row{"v3d", plain<discover_v3d>},
+    Row{"raspberrypi", plain<discover_raspberrypi>},
+    Row{"battery", plain<discover_battery>},
+    Row{"proc_stat", plain<discover_proc_stat>},
+    Row{"psi", plain<discover_psi>},
+    Row{"cgroup", plain<discover_cgroup>},
+    Row{"perf", plain<discover_perf_events>, true},
 };
+// clang-format on
 
 void check_names(const Selection& selection) {
   for (const std::string& name : selection.sources)
@@ -88,28 +108,25 @@ struct Question {
   std::string_view text;
   bool (*answers)(const Channel&);
 };
+bool is_gpu(const Channel& channel) { return !channel.gpu.empty(); }
+bool is_watts(const Channel& channel) { return unit_info(channel.unit).si == "W"; }
+
+// clang-format off
 constexpr std::array questions{
-    Question{"energy", [](const Channel& c) { return c.quantity == Quantity::energy; }},
+    Question{"energy", [](const Channel& c) { return c.quantity == Quantity::energy && c.kind == Kind::cumulative && !c.stands_still; }},
+    Question{"GPU energy", [](const Channel& c) { return c.quantity == Quantity::energy && !c.stands_still && (is_gpu(c) || c.name.find("uncore") != std::string::npos); }},
     Question{"power", [](const Channel& c) { return c.quantity == Quantity::power; }},
-    Question{"GPU clock",
-             [](const Channel& c) {
-               return c.quantity == Quantity::frequency && c.source != "cpufreq";
-             }},
-    Question{"CPU clock", [](const Channel& c) { return c.source == "cpufreq"; }},
+    Question{"GPU clock", [](const Channel& c) { return c.quantity == Quantity::frequency && is_gpu(c); }},
+    Question{"CPU clock", [](const Channel& c) { return c.quantity == Quantity::frequency && !is_gpu(c); }},
     Question{"temperature", [](const Channel& c) { return c.quantity == Quantity::temperature; }},
-    Question{
-        "GPU throttling",
-        [](const Channel& c) { return c.quantity == Quantity::throttle && c.source != "thermal"; }},
-    Question{
-        "throttling by the kernel",
-        [](const Channel& c) { return c.quantity == Quantity::throttle && c.source == "thermal"; }},
-    Question{"power limits", [](const Channel& c) { return c.quantity == Quantity::limit; }},
+    Question{"GPU throttling", [](const Channel& c) { return c.quantity == Quantity::throttle && is_gpu(c); }},
+    Question{"throttling of the package", [](const Channel& c) { return c.quantity == Quantity::throttle && !is_gpu(c); }},
+    Question{"power limits", [](const Channel& c) { return c.quantity == Quantity::limit && is_watts(c); }},
     Question{"cache misses", [](const Channel& c) { return c.quantity == Quantity::cache_miss; }},
-    Question{"memory traffic",
-             [](const Channel& c) { return c.quantity == Quantity::memory_traffic; }},
-    Question{"interference by the host",
-             [](const Channel& c) { return c.quantity == Quantity::interference; }},
+    Question{"memory traffic", [](const Channel& c) { return c.quantity == Quantity::memory_traffic; }},
+    Question{"interference by the host", [](const Channel& c) { return c.quantity == Quantity::interference; }},
 };
+// clang-format on
 
 }  // namespace
 
@@ -156,6 +173,10 @@ std::string verdict(const Discovery& discovery) {
     line += ". Joules come from sampled power: long windows only";
   if (lacks("GPU throttling") && lacks("GPU clock"))
     line += ". Slow frames cannot be blamed on GPU throttling: they are the host's or unexplained";
+  else if (lacks("GPU throttling"))
+    line += ". GPU throttling can only be inferred from its clock";
+  if (lacks("cache misses") && lacks("memory traffic"))
+    line += ". Cache misses are modelled, not measured";
   return line + '.';
 }
 

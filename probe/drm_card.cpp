@@ -10,6 +10,8 @@
 
 #include <algorithm>
 
+#include "probe/names.h"
+
 namespace energyprof::probe {
 namespace {
 
@@ -69,7 +71,7 @@ std::vector<NamedCard> drm_cards_of(const Root& root, std::string_view driver) {
   for (DrmCard& card : list_drm_cards(root))
     if (card.driver == driver) named.push_back({std::move(card), std::string(driver)});
   if (named.size() > 1)
-    for (NamedCard& one : named) one.prefix += '@' + one.card.gpu;
+    for (NamedCard& one : named) one.prefix += '@' + slug(one.card.gpu);
   return named;
 }
 

@@ -20,7 +20,7 @@ struct DrmCard {
 /// All cards, in the kernel's order. Connectors ("card1-DP-1") and render nodes are none.
 std::vector<DrmCard> list_drm_cards(const Root& root);
 
-/// The cards of one driver, and how the channels of each begin: "i915", or "i915@0000:03:00.0"
+/// The cards of one driver, and how the channels of each begin: "i915", or "i915@0000:03:00_0"
 /// where the driver has several cards.
 struct NamedCard {
   DrmCard card;

@@ -16,6 +16,7 @@
 #include <utility>
 
 #include "core/clock.h"
+#include "probe/drm_card.h"
 #include "probe/file_source.h"
 #include "probe/names.h"
 
@@ -46,24 +47,39 @@ constexpr std::array items{
 constexpr std::array<std::string_view, 9> slow_chips{
     "coretemp", "nvme", "drivetemp", "acpitz", "iwlwifi", "BAT", "dell_smm", "thinkpad", "spd5118"};
 
-int64_t period_of(std::string_view chip) {
-  const bool slow = std::any_of(slow_chips.begin(), slow_chips.end(),
-                                [&](std::string_view name) { return chip.starts_with(name); });
-  return slow ? ns_per_s : 100 * ns_per_ms;
+bool is_slow(std::string_view chip) {
+  return std::any_of(slow_chips.begin(), slow_chips.end(),
+                     [&](std::string_view name) { return chip.starts_with(name); });
 }
+
+int64_t period_of(std::string_view chip) { return is_slow(chip) ? ns_per_s : 100 * ns_per_ms; }
+
+// Drivers of GPUs: what their chips say belongs to the GPU.
+constexpr std::array<std::string_view, 8> gpu_chips{"amdgpu", "i915",     "xe",      "nouveau",
+                                                    "radeon", "panfrost", "panthor", "msm"};
 
 struct Chip {
   std::string path;
-  std::string name;    // as the driver says
-  std::string id;      // as in channel names
-  std::string device;  // last part of the device's path
+  std::string name;     // as the driver says
+  std::string id;       // as in channel names
+  std::string device;   // last part of the device's path
+  SourceTraits traits;  // of its sources
 };
+
+// What a value of the sensor should stay below: the first of these items that is set.
+std::optional<int64_t> limit_of(const Root& root, const Chip& chip, const std::string& sensor) {
+  for (const char* item : {"crit", "max", "cap", "emergency"}) {
+    const auto limit = check_int_file(root, fmt::format("{}/{}_{}", chip.path, sensor, item)).value;
+    if (limit && *limit > 0) return limit;
+  }
+  return std::nullopt;
+}
 
 std::vector<Chip> list_chips(const Root& root) {
   std::vector<Chip> chips;
   std::map<std::string, int> name_count;
   for (const std::string& entry : root.list(class_dir)) {
-    Chip chip{fmt::format("{}/{}", class_dir, entry), {}, {}, entry};
+    Chip chip{fmt::format("{}/{}", class_dir, entry), {}, {}, entry, {}};
     std::optional<std::string> name = root.read_line(chip.path + "/name");
     if (!name) name = root.read_line(chip.path + "/device/name");
     if (!name) continue;
@@ -71,6 +87,10 @@ std::vector<Chip> list_chips(const Root& root) {
     chip.id = slug(*name);
     const Root::Resolved device = root.resolve(chip.path + "/device");
     if (device.error == 0) chip.device = device.path.substr(device.path.rfind('/') + 1);
+    // coretemp answers from memory, at most once a second anew; the others may block.
+    chip.traits.slow = is_slow(chip.name) && chip.name != "coretemp";
+    if (std::find(gpu_chips.begin(), gpu_chips.end(), chip.name) != gpu_chips.end())
+      chip.traits.gpu = gpu_of_device(root, chip.path + "/device");
     ++name_count[chip.id];
     chips.push_back(std::move(chip));
   }
@@ -114,8 +134,10 @@ class RailSource final : public SensorSource {
     TextFile voltage_mv;
     TextFile current_ma;
   };
-  RailSource(int64_t period_ns, std::vector<Channel> channels, std::vector<Rail> rails)
-      : SensorSource("hwmon", period_ns, std::move(channels)), rails_(std::move(rails)) {}
+  RailSource(int64_t period_ns, std::vector<Channel> channels, std::vector<Rail> rails,
+             SourceTraits traits)
+      : SensorSource("hwmon", period_ns, std::move(channels), std::move(traits)),
+        rails_(std::move(rails)) {}
 
   void poll(std::span<Reading> out) noexcept override {
     for (size_t i = 0; i < rails_.size(); ++i) {
@@ -124,6 +146,8 @@ class RailSource final : public SensorSource {
       Reading& power = out[i];
       power.status = std::max(voltage.status, current.status);  // ok < retry < gone
       power.t_ns = voltage.t_ns + (current.t_ns - voltage.t_ns) / 2;
+      power.width_ns = current.t_ns - voltage.t_ns + (voltage.width_ns + current.width_ns) / 2;
+      power.error = voltage.error != 0 ? voltage.error : current.error;
       if (power.status == PollStatus::ok &&
           __builtin_mul_overflow(voltage.value, current.value, &power.value))
         power.status = PollStatus::retry;
@@ -163,9 +187,50 @@ size_t discover_rails(const Root& root, const Chip& chip, const std::vector<std:
   }
   const size_t rail_count = rails.size();
   if (rail_count > 0)
-    discovery.sources.push_back(
-        std::make_unique<RailSource>(period_of(chip.name), std::move(channels), std::move(rails)));
+    discovery.sources.push_back(std::make_unique<RailSource>(
+        period_of(chip.name), std::move(channels), std::move(rails), chip.traits));
   return rail_count;
+}
+
+// Alarms that mean a limit of heat, power or current was reached: evidence of throttling. Returns
+// how many were usable. A chip that has no values to go with them is left to the voltage alarm of
+// the Raspberry Pi's own source.
+size_t discover_alarms(const Root& root, const Chip& chip, const std::vector<std::string>& files,
+                       std::set<std::string>& taken, Discovery& discovery) {
+  constexpr std::array<std::pair<std::string_view, std::string_view>, 7> alarms{{
+      {"temp", "crit_alarm"},
+      {"temp", "emergency_alarm"},
+      {"power", "alarm"},
+      {"power", "cap_alarm"},
+      {"power", "crit_alarm"},
+      {"curr", "max_alarm"},
+      {"curr", "crit_alarm"},
+  }};
+  std::vector<FileChannel> rows;
+  for (const std::string& file : files)
+    for (const auto& [prefix, item] : alarms) {
+      const std::optional<int> number = item_number(file, prefix, item);
+      if (!number) continue;
+      // Currents carry the label of their voltage.
+      const std::string sensor =
+          fmt::format("{}{}", prefix == "curr" ? std::string_view("in") : prefix, *number);
+      const std::string label = label_of(root, chip, sensor);
+      if (label == "nc") continue;
+      CheckedFile checked = check_int_file(root, fmt::format("{}/{}", chip.path, file));
+      if (!checked.problem.empty()) {
+        discovery.missing.push_back({"hwmon", checked.problem, ""});
+        continue;
+      }
+      Channel channel;
+      channel.name = channel_name(chip, label, sensor, item, taken);
+      channel.quantity = Quantity::throttle;
+      channel.unit = Unit::count;
+      channel.kind = Kind::flag;
+      rows.push_back({std::move(channel), std::move(checked.file)});
+    }
+  const size_t count = rows.size();
+  add_file_source(discovery, "hwmon", period_of(chip.name), std::move(rows), chip.traits);
+  return count;
 }
 
 void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
@@ -189,12 +254,15 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
       channel.quantity = item.quantity;
       channel.unit = item.unit;
       channel.kind = item.kind;
+      if (item.quantity == Quantity::temperature || item.quantity == Quantity::power)
+        channel.limit = limit_of(root, chip, sensor);
       has_power = has_power || item.quantity == Quantity::power;
       rows.push_back({std::move(channel), std::move(checked.file)});
     }
   }
   size_t channel_count = rows.size();
-  add_file_source(discovery, "hwmon", period_of(chip.name), std::move(rows));
+  add_file_source(discovery, "hwmon", period_of(chip.name), std::move(rows), chip.traits);
+  channel_count += discover_alarms(root, chip, files, taken, discovery);
   if (!has_power) channel_count += discover_rails(root, chip, files, taken, discovery);
   if (channel_count == 0 && discovery.missing.size() == missing_before)
     discovery.missing.push_back(

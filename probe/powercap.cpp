@@ -158,39 +158,6 @@ void discover_energy(const Root& root, const std::vector<Domain>& domains, Disco
        std::move(fix)});
 }
 
-// The lowest of the limits that several zones set on one package; which one that is may change
-// during a run.
-class LimitSource final : public SensorSource {
- public:
-  using FileGroups = std::vector<std::vector<TextFile>>;
-  LimitSource(std::vector<Channel> channels, FileGroups groups)
-      : SensorSource("powercap", limit_period_ns, std::move(channels)),
-        groups_(std::move(groups)) {}
-
-  void poll(std::span<Reading> out) noexcept override {
-    for (size_t i = 0; i < groups_.size(); ++i) out[i] = lowest(groups_[i]);
-  }
-
- private:
-  static Reading lowest(std::vector<TextFile>& files) noexcept {
-    Reading result{.status = PollStatus::gone};
-    for (TextFile& file : files) {
-      Reading reading = file.read_int();
-      // 0 is a limit that was never set.
-      if (reading.status == PollStatus::ok && reading.value <= 0)
-        reading.status = PollStatus::retry;
-      const bool better =
-          reading.status == PollStatus::ok
-              ? result.status != PollStatus::ok || reading.value < result.value
-              : reading.status == PollStatus::retry && result.status == PollStatus::gone;
-      if (better) result = reading;
-    }
-    return result;
-  }
-
-  FileGroups groups_;
-};
-
 // constraint_N_power_limit_uw of the constraint called `name`, if it limits anything.
 std::optional<CheckedFile> limit_file(const Root& root, const Zone& zone, std::string_view name) {
   if (root.read_line(zone.path + "/enabled") == "0") return std::nullopt;
@@ -207,7 +174,7 @@ std::optional<CheckedFile> limit_file(const Root& root, const Zone& zone, std::s
 
 void discover_limits(const Root& root, const std::vector<Domain>& domains, Discovery& discovery) {
   std::vector<Channel> channels;
-  LimitSource::FileGroups groups;
+  FileGroupSource::FileGroups groups;
   for (const Domain& domain : domains) {
     if (domain.is_part) continue;
     for (const Limit& limit : limits) {
@@ -232,7 +199,8 @@ void discover_limits(const Root& root, const std::vector<Domain>& domains, Disco
   }
   if (!channels.empty())
     discovery.sources.push_back(
-        std::make_unique<LimitSource>(std::move(channels), std::move(groups)));
+        std::make_unique<FileGroupSource>("powercap", limit_period_ns, std::move(channels),
+                                          std::move(groups), Pick::lowest_positive));
 }
 
 Missing explain_absence(const Root& root, const std::string& hidden_zone) {

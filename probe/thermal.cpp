@@ -1,6 +1,7 @@
 // Expects:
 //
 //   sys/class/thermal/thermal_zone3/{type,temp}                          x86_pkg_temp, 53000
+//   sys/class/thermal/thermal_zone3/trip_point_0_{type,temp}             passive, 95000
 //   sys/class/thermal/cooling_device0/{type,cur_state,max_state}         Processor, 0, 3
 #include "probe/thermal.h"
 
@@ -48,6 +49,23 @@ std::vector<Device> list_devices(const Root& root, std::string_view prefix) {
   return devices;
 }
 
+// Where the kernel begins to slow things down: the lowest passive trip point, else the lowest hot
+// or critical one. Trips that were never set are 0 or far below.
+std::optional<int64_t> trip_mc(const Root& root, const Device& zone) {
+  std::optional<int64_t> passive;
+  std::optional<int64_t> severe;
+  for (int i = 0;; ++i) {
+    const auto type = root.read_line(fmt::format("{}/trip_point_{}_type", zone.path, i));
+    if (!type) break;
+    const auto temp =
+        check_int_file(root, fmt::format("{}/trip_point_{}_temp", zone.path, i)).value;
+    if (!temp || *temp <= 0 || *temp > highest_mc) continue;
+    if (*type == "passive") passive = std::min(passive.value_or(*temp), *temp);
+    if (*type == "hot" || *type == "critical") severe = std::min(severe.value_or(*temp), *temp);
+  }
+  return passive ? passive : severe;
+}
+
 size_t discover_zones(const Root& root, Discovery& discovery) {
   const std::vector<Device> zones = list_devices(root, "thermal_zone");
   std::vector<FileChannel> fast;
@@ -69,10 +87,11 @@ size_t discover_zones(const Root& root, Discovery& discovery) {
     channel.name = fmt::format("thermal.{}.temp", zone.id);
     channel.quantity = Quantity::temperature;
     channel.unit = Unit::millicelsius;
+    channel.limit = trip_mc(root, zone);
     (zone.type == "acpitz" ? slow : fast).push_back({std::move(channel), std::move(temp.file)});
   }
   add_file_source(discovery, "thermal", fast_period_ns, std::move(fast));
-  add_file_source(discovery, "thermal", acpi_period_ns, std::move(slow));
+  add_file_source(discovery, "thermal", acpi_period_ns, std::move(slow), {.slow = true});
   return zones.size();
 }
 

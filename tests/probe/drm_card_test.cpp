@@ -37,8 +37,8 @@ TEST(DrmCard, CarriesItsAddressWhereItsDriverHasSeveral) {
   tree.link("sys/dev/char/226:1", "../../devices/pci/0000:2d:00.0/drm/cardd");
   const auto cards = drm_cards_of(tree.root(), "xe");
   ASSERT_THAT(cards, SizeIs(2));
-  EXPECT_EQ(cards[0].prefix, "xe@0000:03:00.0");
-  EXPECT_EQ(cards[1].prefix, "xe@0000:2d:00.0");
+  EXPECT_EQ(cards[0].prefix, "xe@0000:03:00_0");
+  EXPECT_EQ(cards[1].prefix, "xe@0000:2d:00_0");
   EXPECT_EQ(gpu_of_drm_node(tree.root(), 226, 1), "0000:2d:00.0");
   EXPECT_EQ(gpu_of_drm_node(tree.root(), 226, 7), std::nullopt);
 }

@@ -1,0 +1,19 @@
+/// Clocks, load and thermal clamps of GPUs on ARM systems: Mali, Adreno, Tegra.
+#pragma once
+
+#include "probe/root.h"
+#include "probe/source.h"
+
+namespace energyprof::probe {
+
+/// Channels of each GPU ("devfreq.fb000000_gpu"):
+///   .freq, .target_freq: Hz, limit the highest available. On some SoCs .freq repeats the target.
+///   .max_freq: Hz, quantity limit; .throttle.clamp: flag, 1 while max_freq is below the highest
+///     available clock, as a cooling device (or an administrator) makes it.
+///   .load: percent (Rockchip) or permille (Tegra).
+///   .time_at.<Hz>: ms, .transitions: count; cumulative, from trans_stat.
+/// Other devices of the class (memory controllers) are none of its business.
+/// Kernel: Documentation/ABI/testing/sysfs-class-devfreq.
+void discover_devfreq(const Root& root, Discovery& discovery);
+
+}  // namespace energyprof::probe

@@ -1,0 +1,17 @@
+/// How often and how long Intel processors throttled for heat.
+#pragma once
+
+#include "probe/root.h"
+#include "probe/source.h"
+
+namespace energyprof::probe {
+
+/// Channels, cumulative:
+///   cpu.package-0.throttle.count, cpu.core.throttle.count: episodes
+///   cpu.package-0.throttle.time, cpu.core.throttle.time: ms; an episode adds its time when it ends
+/// Every CPU of a package repeats the package's events, so the highest is taken and nothing is
+/// added up; the cores' is the highest of all cores. Heat only, not power limits; short or shallow
+/// episodes are filtered by the kernel. Kernel: drivers/thermal/intel/therm_throt.c.
+void discover_thermal_throttle(const Root& root, Discovery& discovery);
+
+}  // namespace energyprof::probe

@@ -1,0 +1,221 @@
+// Boards and batteries: devfreq, VideoCore, Raspberry Pi firmware, rails, package throttle
+// counters.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cerrno>
+
+#include "tree.h"
+
+namespace energyprof::probe {
+namespace {
+
+using testing::Contains;
+using testing::ElementsAre;
+using testing::Field;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::Not;
+using testing::SizeIs;
+
+auto missing_because(const std::string& reason) {
+  return Contains(Field(&Missing::reason, HasSubstr(reason)));
+}
+
+Discovery find(const Root& root, const std::string& source) {
+  return discover(root, Selection{.sources = {source}});
+}
+
+Root machine(const std::string& name) { return Root(Tree::machine_dir(name).string()); }
+
+TEST(Devfreq, ReadsAnAdrenoWithItsResidencies) {
+  const Discovery found = find(machine("msm8916-adreno-board"), "devfreq");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["devfreq.1c00000_gpu.freq"].value, 400'000'000);
+  EXPECT_EQ(readings["devfreq.1c00000_gpu.max_freq"].value, 400'000'000);
+  EXPECT_EQ(readings["devfreq.1c00000_gpu.throttle.clamp"].value, 0);
+  EXPECT_EQ(readings["devfreq.1c00000_gpu.time_at.19200000"].value, 0);
+  EXPECT_EQ(readings["devfreq.1c00000_gpu.time_at.400000000"].value, 925'683);
+  EXPECT_EQ(readings["devfreq.1c00000_gpu.transitions"].value, 4);
+  EXPECT_EQ(channel_called(found, "devfreq.1c00000_gpu.freq").limit, 400'000'000);
+  EXPECT_EQ(channel_called(found, "devfreq.1c00000_gpu.freq").gpu, "1c00000.gpu");
+}
+
+TEST(Devfreq, ReadsAJetson) {
+  auto readings = poll_all(find(machine("jetson-orin-nano"), "devfreq"));
+  EXPECT_EQ(readings["devfreq.17000000_gpu.freq"].value, 624'750'000);
+  EXPECT_EQ(readings["devfreq.17000000_gpu.load"].value, 990);  // EXPECTED.tsv: 99.0 %
+}
+
+const std::string mali = "sys/class/devfreq/fb000000.gpu/";
+
+TEST(Devfreq, TakesALowerMaximumForAClamp) {
+  const Tree tree{{mali + "cur_freq", "300000000\n"},
+                  {mali + "max_freq", "1000000000\n"},
+                  {mali + "available_frequencies", "1000000000 300000000 900000000 \n"},
+                  {mali + "load", "22@300000000Hz\n"}};
+  const Discovery found = find(tree.root(), "devfreq");
+  EXPECT_EQ(poll_all(found)["devfreq.fb000000_gpu.throttle.clamp"].value, 0);
+  EXPECT_EQ(poll_all(found)["devfreq.fb000000_gpu.load"].value, 22);
+  EXPECT_EQ(channel_called(found, "devfreq.fb000000_gpu.load").unit, Unit::percent);
+  tree.write({{mali + "max_freq", "600000000\n"}});
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.throttle.clamp"].value, 1);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.max_freq"].value, 600'000'000);
+}
+
+TEST(Devfreq, SaysWhenThereIsNoGpuAndWhenATableIsTooLong) {
+  const Tree dmc{{"sys/class/devfreq/dmc/cur_freq", "1\n"}};
+  EXPECT_THAT(find(dmc.root(), "devfreq").missing, missing_because("only dmc"));
+  const Tree tree{{mali + "cur_freq", "300000000\n"}, {mali + "trans_stat", "\n"}};
+  const Discovery found = find(tree.root({{mali + "trans_stat", EFBIG}}), "devfreq");
+  EXPECT_THAT(found.missing, missing_because("File too large"));
+  EXPECT_THAT(names_of(found), ElementsAre("devfreq.fb000000_gpu.freq"));
+}
+
+TEST(V3d, ReadsTheBusyTimeOfItsQueues) {
+  const Discovery found = find(machine("rpi4-v3d-board"), "v3d");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["v3d.render.busy"].value, 27'284'814'161);
+  EXPECT_EQ(readings["v3d.cache_clean.busy"].value, 237'375'940);
+  EXPECT_THAT(names_of(found), SizeIs(5));
+  EXPECT_EQ(channel_called(found, "v3d.render.busy").gpu, "fec00000.v3d");
+}
+
+TEST(RaspberryPi, DecodesTheFirmwaresWord) {
+  const Tree tree("rpi4-v3d-board");
+  const Discovery found = find(tree.root(), "raspberrypi");
+  const auto set_flags = [&] {
+    std::vector<std::string> names;
+    for (const auto& [name, reading] : poll_all(found))
+      if (reading.value == 1) names.push_back(name);
+    return names;
+  };
+  // EXPECTED.tsv
+  EXPECT_THAT(set_flags(), ElementsAre("rpi.since_boot.throttled", "rpi.since_boot.undervoltage",
+                                       "rpi.throttle.throttled", "rpi.throttle.undervoltage"));
+  tree.overlay("rpi4-v3d-board", "t1");
+  EXPECT_THAT(set_flags(),
+              ElementsAre("rpi.since_boot.freq_capped", "rpi.since_boot.soft_temp_limit",
+                          "rpi.since_boot.throttled", "rpi.throttle.soft_temp_limit"));
+  EXPECT_EQ(channel_called(found, "rpi.throttle.throttled").quantity, Quantity::throttle);
+  EXPECT_NE(channel_called(found, "rpi.since_boot.throttled").quantity, Quantity::throttle);
+}
+
+TEST(RaspberryPi, FallsBackToTheVoltageAlarm) {
+  const Tree tree{{"sys/class/hwmon/hwmon1/name", "rpi_volt\n"},
+                  {"sys/class/hwmon/hwmon1/in0_lcrit_alarm", "1\n"}};
+  auto readings = poll_all(find(tree.root(), "raspberrypi"));
+  EXPECT_THAT(readings, SizeIs(1));
+  EXPECT_EQ(readings["rpi.throttle.undervoltage"].value, 1);
+}
+
+TEST(RaspberryPi, AcceptsPrefixesAndRefusesOtherText) {
+  const std::string word = "sys/devices/platform/soc@107c000000/firmware/get_throttled";
+  const Tree tree{{word, "throttled=0x8\n"}};
+  const Discovery found = find(tree.root(), "raspberrypi");
+  EXPECT_EQ(poll_all(found)["rpi.throttle.soft_temp_limit"].value, 1);
+  tree.write({{word, "zzz\n"}});
+  EXPECT_EQ(poll_all(found)["rpi.throttle.soft_temp_limit"].status, PollStatus::retry);
+  EXPECT_THAT(find(tree.root(), "raspberrypi").missing, missing_because("no hexadecimal"));
+}
+
+const std::string battery = "sys/class/power_supply/BAT1/";
+
+TEST(Battery, TellsItsPowerWhileItDischarges) {
+  const Discovery found = find(machine("intel-rplp-i915-laptop"), "battery");
+  EXPECT_EQ(poll_all(found)["battery.bat0.power"].value, 4'830'000);
+  EXPECT_THAT(found.missing, IsEmpty());
+}
+
+TEST(Battery, MultipliesCurrentAndVoltageWithoutSign) {
+  const Tree tree{{battery + "type", "Battery\n"},
+                  {battery + "status", "Discharging\n"},
+                  {battery + "current_now", "-1500000\n"},
+                  {battery + "voltage_now", "8000000\n"}};
+  const Discovery found = find(tree.root(), "battery");
+  EXPECT_EQ(poll_all(found)["battery.bat1.power"].value, 12'000'000);
+  tree.write({{battery + "status", "Charging\n"}});
+  EXPECT_EQ(poll_all(found)["battery.bat1.power"].status, PollStatus::retry);
+  EXPECT_THAT(find(tree.root(), "battery").missing, missing_because("is Charging"));
+}
+
+TEST(Battery, IsNotThatOfAMouse) {
+  const Tree tree{{battery + "type", "Battery\n"},
+                  {battery + "scope", "Device\n"},
+                  {battery + "power_now", "1\n"}};
+  EXPECT_THAT(find(tree.root(), "battery").missing, missing_because("no battery"));
+}
+
+TEST(ThermalThrottle, TakesTheHighestOfMirroredCountersAndAddsNothing) {
+  const std::string name = "intel-rplp-i915-laptop";
+  const Tree tree(name);
+  const Discovery found = find(tree.root(), "thermal_throttle");
+  auto t0 = poll_all(found);
+  tree.overlay(name, "t1");
+  auto t1 = poll_all(found);
+  // EXPECTED.tsv: 1 event, 462 ms, mirrored in every CPU.
+  EXPECT_EQ(t1["cpu.package-0.throttle.count"].value - t0["cpu.package-0.throttle.count"].value, 1);
+  EXPECT_EQ(t1["cpu.package-0.throttle.time"].value - t0["cpu.package-0.throttle.time"].value, 462);
+  EXPECT_EQ(t0["cpu.core.throttle.count"].value, 3);
+  EXPECT_EQ(channel_called(found, "cpu.package-0.throttle.time").unit, Unit::millisecond);
+}
+
+TEST(ThermalThrottle, KeepsPackagesApart) {
+  const std::string cpus = "sys/devices/system/cpu/";
+  const Tree tree{{cpus + "cpu0/thermal_throttle/package_throttle_count", "5\n"},
+                  {cpus + "cpu0/topology/physical_package_id", "0\n"},
+                  {cpus + "cpu8/thermal_throttle/package_throttle_count", "7\n"},
+                  {cpus + "cpu8/topology/physical_package_id", "1\n"}};
+  auto readings = poll_all(find(tree.root(), "thermal_throttle"));
+  EXPECT_EQ(readings["cpu.package-0.throttle.count"].value, 5);
+  EXPECT_EQ(readings["cpu.package-1.throttle.count"].value, 7);
+}
+
+TEST(Hwmon, KnowsLimitsAlarmsAndWhoseGpuAChipIs) {
+  const Discovery xe = find(machine("intel-a380-xe-dgpu"), "hwmon");
+  EXPECT_EQ(poll_all(xe)["hwmon.xe.pkg.energy"].value, 59'540'970'520);
+  EXPECT_EQ(channel_called(xe, "hwmon.xe.pkg.energy").gpu, "0000:08:00.0");
+  const Discovery radeon = find(machine("amd-rx7600s-dgpu"), "hwmon");
+  EXPECT_EQ(channel_called(radeon, "hwmon.amdgpu.junction.temp").limit, 100'000);
+  EXPECT_EQ(channel_called(radeon, "hwmon.amdgpu.ppt.power_average").limit, 95'000'000);
+  const Discovery laptop = find(machine("intel-rplp-i915-laptop"), "hwmon");
+  EXPECT_EQ(channel_called(laptop, "hwmon.coretemp.package_id_0.temp").limit, 100'000);
+  EXPECT_EQ(channel_called(laptop, "hwmon.coretemp.package_id_0.temp").gpu, "");
+  EXPECT_EQ(channel_called(laptop, "hwmon.coretemp.package_id_0.crit_alarm").quantity,
+            Quantity::throttle);
+  const Discovery jetson = find(machine("jetson-orin-nano"), "hwmon");
+  EXPECT_EQ(poll_all(jetson)["hwmon.ina3221.vdd_in.crit_alarm"].status, PollStatus::ok);
+  for (const std::string& name : names_of(jetson)) EXPECT_THAT(name, Not(HasSubstr("shunt")));
+}
+
+TEST(Hwmon, EndsInACycleOfLinks) {
+  const Tree tree{{"sys/class/hwmon/hwmon0/name", "loop\n"},
+                  {"sys/class/hwmon/hwmon0/temp1_input", "30000\n"}};
+  tree.link("sys/class/hwmon/hwmon0/device", "../hwmon0");
+  tree.link("sys/class/hwmon/hwmon1", "hwmon2");
+  tree.link("sys/class/hwmon/hwmon2", "hwmon1");
+  EXPECT_EQ(poll_all(find(tree.root(), "hwmon"))["hwmon.loop.temp1.temp"].value, 30'000);
+}
+
+TEST(Thermal, KnowsWhereTheKernelBeginsToCool) {
+  const std::string zone = "sys/class/thermal/thermal_zone0/";
+  const Tree tree{
+      {zone + "type", "gpu-thermal\n"},           {zone + "temp", "47000\n"},
+      {zone + "trip_point_0_type", "critical\n"}, {zone + "trip_point_0_temp", "105000\n"},
+      {zone + "trip_point_1_type", "passive\n"},  {zone + "trip_point_1_temp", "95000\n"},
+      {zone + "trip_point_2_type", "passive\n"},  {zone + "trip_point_2_temp", "-274000\n"}};
+  const Discovery found = find(tree.root(), "thermal");
+  EXPECT_EQ(channel_called(found, "thermal.gpu-thermal.temp").limit, 95'000);
+}
+
+TEST(Cpufreq, RecordsTheMaximumThatTheKernelAllows) {
+  const Discovery found = find(machine("intel-rplp-i915-laptop"), "cpufreq");
+  const Channel cap = channel_called(found, "cpufreq.cpu0.max_freq");
+  EXPECT_EQ(cap.quantity, Quantity::limit);
+  EXPECT_EQ(poll_all(found)["cpufreq.cpu0.max_freq"].status, PollStatus::ok);
+  EXPECT_TRUE(channel_called(found, "cpufreq.cpu0.freq").limit.has_value());
+}
+
+}  // namespace
+}  // namespace energyprof::probe

@@ -1,0 +1,200 @@
+// i915 and xe: clocks, throttle reasons, idle time; on captured machines and odd ones.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cerrno>
+
+#include "core/clock.h"
+#include "tree.h"
+
+namespace energyprof::probe {
+namespace {
+
+using testing::Contains;
+using testing::Field;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::Not;
+
+const std::string card = "sys/class/drm/card0/";
+const std::string xe_freq = card + "device/tile0/gt0/freq0/";
+
+auto missing_because(const std::string& reason) {
+  return Contains(Field(&Missing::reason, HasSubstr(reason)));
+}
+
+Discovery find(const Root& root, const std::string& source) {
+  return discover(root, Selection{.sources = {source}});
+}
+
+const SensorSource& source_of(const Discovery& found, const std::string& name) {
+  for (const auto& source : found.sources)
+    for (const Channel& channel : std::as_const(*source).channels())
+      if (channel.name == name) return *source;
+  throw std::runtime_error("no channel " + name);
+}
+
+TEST(I915, ShowsALaptopThatBeginsToThrottle) {
+  const std::string machine = "intel-rplp-i915-laptop";
+  const Tree tree(machine);
+  const Discovery found = find(tree.root(), "i915");
+  auto t0 = poll_all(found);
+  EXPECT_EQ(t0["i915.gt0.act_freq"].value, 1300);
+  EXPECT_EQ(t0["i915.gt0.requested_freq"].value, 1300);
+  EXPECT_EQ(t0["i915.gt0.throttle.status"].value, 0);
+  EXPECT_EQ(t0["i915.gt0.throttle.pl1"].status, PollStatus::ok);
+  tree.overlay(machine, "t1");
+  auto t1 = poll_all(found);
+  // EXPECTED.tsv: active pl1; act/requested = 850/1500; rc6 residency 0.0 %.
+  EXPECT_EQ(t1["i915.gt0.act_freq"].value, 850);
+  EXPECT_EQ(t1["i915.gt0.requested_freq"].value, 1500);
+  EXPECT_EQ(t1["i915.gt0.throttle.status"].value, 1);
+  EXPECT_EQ(t1["i915.gt0.throttle.pl1"].value, 1);
+  for (const char* reason :
+       {"pl2", "pl4", "thermal", "prochot", "ratl", "vr_thermalert", "vr_tdc"}) {
+    const Reading& reading = t1[std::string("i915.gt0.throttle.") + reason];
+    EXPECT_EQ(reading.status, PollStatus::ok) << reason;
+    EXPECT_EQ(reading.value, 0) << reason;
+  }
+  EXPECT_EQ(t1["i915.gt0.rc6_residency"].value, t0["i915.gt0.rc6_residency"].value);
+  EXPECT_EQ(channel_called(found, "i915.gt0.act_freq").limit, 1500);
+  EXPECT_EQ(channel_called(found, "i915.gt0.throttle.pl1").kind, Kind::flag);
+  EXPECT_EQ(channel_called(found, "i915.gt0.rc6_residency").wrap_at, 4'294'967'295);
+  EXPECT_EQ(channel_called(found, "i915.gt0.act_freq").gpu, "0000:00:02.0");
+  EXPECT_THAT(found.missing, IsEmpty());
+}
+
+TEST(I915, LeavesASleepingGpuItsSleepExceptForReasonsAndResidency) {
+  const Discovery found = find(Root(Tree::machine_dir("intel-rplp-i915-laptop").string()), "i915");
+  EXPECT_FALSE(source_of(found, "i915.gt0.act_freq").traits().wakes_device);
+  EXPECT_TRUE(source_of(found, "i915.gt0.throttle.pl1").traits().wakes_device);
+  EXPECT_TRUE(source_of(found, "i915.gt0.throttle.pl1").traits().slow);
+  EXPECT_TRUE(source_of(found, "i915.gt0.rc6_residency").traits().wakes_device);
+}
+
+TEST(I915, ReadsTheReasonsOnlyWhileTheSummarySaysSo) {
+  const Tree tree("intel-rplp-i915-laptop");
+  const std::string gt = "sys/devices/pci0000:00/0000:00:02.0/drm/card1/gt/gt0/";
+  const Discovery found = find(tree.root(), "i915");
+  // A reason that is set while the summary is not: its file is not read.
+  tree.write({{gt + "throttle_reason_thermal", "1\n"}});
+  EXPECT_EQ(poll_all(found)["i915.gt0.throttle.thermal"].value, 0);
+  tree.write({{gt + "throttle_reason_status", "1\n"}});
+  EXPECT_EQ(poll_all(found)["i915.gt0.throttle.thermal"].value, 1);
+}
+
+TEST(I915, HasOldFilesAndNoReasonsBeforeGeneration11) {
+  const Discovery found = find(Root(Tree::machine_dir("intel-cml-i915-laptop").string()), "i915");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["i915.gt0.act_freq"].value, 300);
+  EXPECT_EQ(readings["i915.gt0.requested_freq"].value, 300);
+  EXPECT_EQ(readings["i915.gt0.max_freq"].value, 1150);
+  EXPECT_EQ(channel_called(found, "i915.gt0.max_freq").quantity, Quantity::limit);
+  EXPECT_EQ(channel_called(found, "i915.gt0.act_freq").limit, 1150);
+  EXPECT_THAT(found.missing, missing_because("generation 11"));
+}
+
+TEST(I915, KeepsReasonsThatItDoesNotKnowAndGtsThatDoNotRender) {
+  const Tree tree{{card + "device/uevent", "DRIVER=i915\nPCI_SLOT_NAME=0000:00:02.0\n"},
+                  {card + "gt/gt0/rps_act_freq_mhz", "500\n"},
+                  {card + "gt/gt1/rps_act_freq_mhz", "0\n"},
+                  {card + "gt/gt1/throttle_reason_soc_thermal", "1\n"}};
+  const Discovery found = find(tree.root(), "i915");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["i915.gt0.act_freq"].value, 500);
+  EXPECT_EQ(readings["i915.gt1.act_freq"].status, PollStatus::ok);
+  EXPECT_EQ(readings["i915.gt1.throttle.soc_thermal"].value, 1);
+}
+
+TEST(I915, SaysWhyAFileIsNoUse) {
+  const Tree tree{{card + "device/uevent", "DRIVER=i915\n"},
+                  {card + "gt/gt0/rps_act_freq_mhz", "fast\n"},
+                  {card + "gt/gt0/throttle_reason_pl1", ""}};
+  const Discovery found = find(tree.root(), "i915");
+  EXPECT_THAT(names_of(found), IsEmpty());
+  EXPECT_THAT(found.missing, missing_because("'fast'"));
+  EXPECT_THAT(found.missing, missing_because("throttle_reason_pl1' is empty"));
+  EXPECT_THAT(find(Tree().root(), "i915").missing, missing_because("no GPU runs under"));
+}
+
+TEST(Xe, ReadsAHandheldFromIdleToLoad) {
+  const std::string machine = "intel-lnl-xe-handheld";
+  const Tree tree(machine);
+  const Discovery found = find(tree.root(), "xe");
+  auto t0 = poll_all(found);
+  EXPECT_EQ(t0["xe.gt0.act_freq"].value, 0);  // asleep
+  EXPECT_EQ(t0["xe.gt0.throttle.pl1"].value, 0);
+  EXPECT_EQ(channel_called(found, "xe.gt0.act_freq").limit, 1950);
+  EXPECT_EQ(channel_called(found, "xe.gt1.act_freq").limit, 1500);
+  tree.overlay(machine, "t1");
+  auto t1 = poll_all(found);
+  EXPECT_EQ(t1["xe.gt0.act_freq"].value, 1350);
+  EXPECT_EQ(t1["xe.gt0.requested_freq"].value, 1950);
+  EXPECT_EQ(t1["xe.gt0.throttle.pl1"].value, 1);
+  EXPECT_EQ(t1["xe.gt0.throttle.pl2"].value, 1);
+  EXPECT_EQ(t1["xe.gt0.throttle.thermal"].value, 0);
+  EXPECT_EQ(t1["xe.gt0.throttle.other"].value, 0);
+}
+
+TEST(Xe, DoesNotKeepTheGpuAwakeToKnowItsRequestedClock) {
+  const Discovery found = find(Root(Tree::machine_dir("intel-lnl-xe-handheld").string()), "xe");
+  const SensorSource& requested = source_of(found, "xe.gt0.requested_freq");
+  EXPECT_TRUE(requested.traits().slow);
+  EXPECT_TRUE(requested.traits().wakes_device);
+  EXPECT_GE(requested.period_ns(), ns_per_s);
+  EXPECT_FALSE(source_of(found, "xe.gt0.act_freq").traits().wakes_device);
+}
+
+TEST(Xe, DoesNotBelieveAnImpossibleClock) {
+  const Discovery found = find(Root(Tree::machine_dir("intel-a380-xe-dgpu").string()), "xe");
+  auto readings = poll_all(found);
+  // rpa_freq holds 627200 MHz on this machine.
+  for (const auto& [name, reading] : readings) {
+    if (name.ends_with("freq")) {
+      EXPECT_LE(reading.value, 2450) << name;
+    }
+  }
+  EXPECT_EQ(channel_called(found, "xe.gt0.act_freq").limit, 2450);
+  EXPECT_EQ(readings["xe.gt0.c6_residency"].value, 2'547'784);
+  EXPECT_EQ(channel_called(found, "xe.gt0.act_freq").gpu, "0000:08:00.0");
+}
+
+TEST(Xe, KeepsReasonsThatItDoesNotKnow) {
+  const Tree tree{{card + "device/uevent", "DRIVER=xe\n"},
+                  {xe_freq + "act_freq", "1000\n"},
+                  {xe_freq + "throttle/reasons", "psys_pl1\n"},
+                  {xe_freq + "throttle/reason_thermal", "0\n"}};
+  const Discovery found = find(tree.root(), "xe");
+  EXPECT_EQ(poll_all(found)["xe.gt0.throttle.psys_pl1"].value, 1);
+  EXPECT_EQ(poll_all(found)["xe.gt0.throttle.other"].value, 0);
+  tree.write({{xe_freq + "throttle/reasons", "thermal fastvmode\n"}});
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["xe.gt0.throttle.psys_pl1"].value, 0);
+  EXPECT_EQ(readings["xe.gt0.throttle.thermal"].value, 1);
+  EXPECT_EQ(readings["xe.gt0.throttle.other"].value, 1);
+  tree.write({{xe_freq + "throttle/reasons", "\n"}});
+  EXPECT_EQ(poll_all(found)["xe.gt0.throttle.thermal"].status, PollStatus::retry);
+}
+
+TEST(Xe, TakesReasonFilesWhereThereIsNoListAndGtsWithoutATile) {
+  const std::string gt = card + "device/gt0/freq0/";
+  const Tree tree{{card + "device/uevent", "DRIVER=xe\n"},
+                  {gt + "act_freq", "900\n"},
+                  {gt + "throttle/status", "1\n"},
+                  {gt + "throttle/reason_ratl", "1\n"},
+                  {gt + "throttle/reason_iccmax", "0\n"}};
+  auto readings = poll_all(find(tree.root(), "xe"));
+  EXPECT_EQ(readings["xe.gt0.act_freq"].value, 900);
+  EXPECT_EQ(readings["xe.gt0.throttle.status"].value, 1);
+  EXPECT_EQ(readings["xe.gt0.throttle.ratl"].value, 1);
+  EXPECT_EQ(readings["xe.gt0.throttle.iccmax"].value, 0);
+}
+
+TEST(Xe, TriesAgainWhenTheGpuDidNotWakeInTime) {
+  const Tree tree{{card + "device/uevent", "DRIVER=xe\n"}, {xe_freq + "cur_freq", "900\n"}};
+  const Discovery found = find(tree.root({{xe_freq + "cur_freq", ETIMEDOUT}}), "xe");
+  EXPECT_EQ(poll_all(found)["xe.gt0.requested_freq"].status, PollStatus::retry);
+}
+
+}  // namespace
+}  // namespace energyprof::probe
