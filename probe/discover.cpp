@@ -16,6 +16,8 @@
 #include "probe/devfreq.h"
 #include "probe/hwmon.h"
 #include "probe/i915.h"
+#include "probe/machine_counters.h"
+#include "probe/msr.h"
 #include "probe/perf_events.h"
 #include "probe/powercap.h"
 #include "probe/proc_stat.h"
@@ -44,9 +46,13 @@ void plain(const Root& root, const Selection&, Discovery& discovery) {
 // In this order: of several ways to the same counter, the first one found is recorded.
 // clang-format off
 constexpr std::array rows{
+    Row{"perf_rapl", plain<discover_perf_rapl>, true},
     Row{"powercap", plain<discover_powercap>},
+    Row{"msr", discover_msr},
     Row{"i915", plain<discover_i915>},
+    Row{"i915_pmu", plain<discover_i915_pmu>, true},
     Row{"xe", plain<discover_xe>},
+    Row{"xe_pmu", plain<discover_xe_pmu>, true},
     Row{"hwmon", plain<discover_hwmon>},
     Row{"thermal", plain<discover_thermal>},
     Row{"cpufreq", plain<discover_cpufreq>},
@@ -59,6 +65,7 @@ constexpr std::array rows{
     Row{"psi", plain<discover_psi>},
     Row{"cgroup", plain<discover_cgroup>},
     Row{"perf", plain<discover_perf_events>, true},
+    Row{"uncore", plain<discover_uncore>, true},
 };
 // clang-format on
 

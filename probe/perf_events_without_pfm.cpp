@@ -6,6 +6,7 @@ namespace energyprof::probe {
 void discover_perf_events(const Root&, Discovery& discovery) {
   discovery.missing.push_back({"perf", "built without libpfm4",
                                "sudo apt-get install libpfm4-dev, then configure and build again"});
+  add_process_usage(discovery);
 }
 
 }  // namespace energyprof::probe

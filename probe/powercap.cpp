@@ -118,6 +118,8 @@ void discover_energy(const Root& root, const std::vector<Domain>& domains, Disco
   std::vector<FileChannel> rows;
   std::vector<std::string> forbidden;
   for (const Domain& domain : domains) {
+    const std::string name = fmt::format("rapl.{}.energy", domain.name);
+    if (discovery.has_channel(name)) continue;  // perf gives it already
     std::vector<CheckedFile> refused;
     bool found = false;
     for (const Zone& zone : domain.zones) {
@@ -127,7 +129,7 @@ void discover_energy(const Root& root, const std::vector<Domain>& domains, Disco
         continue;
       }
       Channel channel;
-      channel.name = fmt::format("rapl.{}.energy", domain.name);
+      channel.name = name;
       channel.quantity = Quantity::energy;
       channel.unit = Unit::microjoule;
       channel.kind = Kind::cumulative;

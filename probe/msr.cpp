@@ -1,0 +1,259 @@
+// Expects dev/cpu/0/msr, where an 8-byte read at offset N gives register N; below a --root
+//
+//   dev/cpu/0/msr.tsv          0x606 <tab> 0x00000000000a0e03
+#include "probe/msr.h"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <charconv>
+#include <utility>
+
+#include "core/clock.h"
+#include "probe/text_file.h"
+
+namespace energyprof::probe {
+namespace {
+
+constexpr int64_t energy_period_ns = ns_per_ms;
+constexpr int64_t flag_period_ns = 20 * ns_per_ms;
+constexpr int64_t limit_period_ns = ns_per_s;
+constexpr std::string_view device = "dev/cpu/0/msr";
+constexpr std::string_view table = "dev/cpu/0/msr.tsv";
+
+// The value of `wanted` in lines "0x606<tab>0x00000000000a0e03<tab>note".
+std::optional<uint64_t> find_register(std::string_view text, uint32_t wanted) {
+  const auto take_hex = [](std::string_view& line) -> std::optional<uint64_t> {
+    line.remove_prefix(std::min(line.find_first_not_of(" \t"), line.size()));
+    if (!line.starts_with("0x")) return std::nullopt;
+    line.remove_prefix(2);
+    uint64_t value = 0;
+    const auto [stop, error] = std::from_chars(line.data(), line.data() + line.size(), value, 16);
+    if (error != std::errc{}) return std::nullopt;
+    line.remove_prefix(static_cast<size_t>(stop - line.data()));
+    return value;
+  };
+  while (!text.empty()) {
+    const size_t end = std::min(text.find('\n'), text.size());
+    std::string_view line = text.substr(0, end);
+    text.remove_prefix(std::min(end + 1, text.size()));
+    if (take_hex(line) == wanted) return take_hex(line);
+  }
+  return std::nullopt;
+}
+
+// The registers of the first CPU.
+class Registers {
+ public:
+  explicit Registers(const Root& root) : is_host_(root.is_host()), file_(root, table) {
+    if (!is_host_) return;
+    fd_ = open(root.resolve(device).path.c_str(), O_RDONLY | O_CLOEXEC);
+    if (fd_ < 0) open_error_ = errno;
+  }
+  ~Registers() {
+    if (fd_ >= 0) close(fd_);
+  }
+  Registers(const Registers&) = delete;
+  Registers& operator=(const Registers&) = delete;
+
+  struct Value {
+    std::optional<uint64_t> bits;
+    int64_t t_ns = 0;
+    int64_t width_ns = 0;
+    int error = 0;
+  };
+  Value read(uint32_t number) noexcept {
+    if (!is_host_) {
+      std::array<char, 4096> buffer;
+      const TextFile::Read read = file_.read(buffer);
+      const std::optional<uint64_t> bits = find_register(read.text, number);
+      // As the device answers for a register that is not there.
+      const int error = read.error == 0 && !bits ? EIO : read.error;
+      return {bits, read.t_ns, read.width_ns, error};
+    }
+    uint64_t bits = 0;
+    const int64_t before_ns = now_ns();
+    const ssize_t got = fd_ < 0 ? -1 : pread(fd_, &bits, sizeof bits, number);
+    const int error = fd_ < 0 ? open_error_ : got == sizeof bits ? 0 : errno;
+    const int64_t width_ns = now_ns() - before_ns;
+    Value value{std::nullopt, before_ns + width_ns / 2, width_ns, error};
+    if (error == 0) value.bits = bits;
+    return value;
+  }
+
+ private:
+  bool is_host_;
+  TextFile file_;
+  int fd_ = -1;
+  int open_error_ = 0;
+};
+
+// What a channel takes from its register.
+struct Field {
+  uint32_t number = 0;
+  int first_bit = 0;
+  uint64_t mask = 0;
+  uint64_t factor = 1;  // value = (bits & mask) * factor >> shift
+  int shift = 0;
+  bool is_absent_at_zero = false;  // a limit that was never set
+};
+
+class MsrSource final : public SensorSource {
+ public:
+  MsrSource(int64_t period_ns, std::vector<Channel> channels, std::vector<Field> fields,
+            std::shared_ptr<Registers> registers)
+      : SensorSource("msr", period_ns, std::move(channels)),
+        fields_(std::move(fields)),
+        registers_(std::move(registers)) {}
+
+  void poll(std::span<Reading> out) noexcept override {
+    Registers::Value value;
+    for (size_t i = 0; i < fields_.size(); ++i) {
+      const Field& field = fields_[i];
+      // Flags of one register lie side by side.
+      if (i == 0 || field.number != fields_[i - 1].number) value = registers_->read(field.number);
+      out[i] = {status_of(value.error), value.t_ns, 0, value.width_ns, value.error};
+      if (!value.bits) continue;
+      const uint64_t raw = (*value.bits >> field.first_bit) & field.mask;
+      out[i].value = static_cast<int64_t>((raw * field.factor) >> field.shift);
+      if (field.is_absent_at_zero && raw == 0) out[i].status = PollStatus::retry;
+    }
+  }
+
+ private:
+  std::vector<Field> fields_;
+  std::shared_ptr<Registers> registers_;
+};
+
+// Channels of one period that are being gathered.
+class Gathering {
+ public:
+  Gathering(std::shared_ptr<Registers> registers, Discovery& discovery)
+      : registers_(std::move(registers)), discovery_(discovery) {}
+
+  // Adds the channel if its register is there and no other source gives it.
+  Channel* add(std::string name, Quantity quantity, Unit unit, Kind kind, const Field& field) {
+    if (discovery_.has_channel(name) || !registers_->read(field.number).bits) return nullptr;
+    Channel channel;
+    channel.name = std::move(name);
+    channel.quantity = quantity;
+    channel.unit = unit;
+    channel.kind = kind;
+    channel.origin = fmt::format("MSR {:#x}, bits from {}", field.number, field.first_bit);
+    channels_.push_back(std::move(channel));
+    fields_.push_back(field);
+    return &channels_.back();
+  }
+
+  void finish(int64_t period_ns) {
+    if (!channels_.empty())
+      discovery_.sources.push_back(std::make_unique<MsrSource>(
+          period_ns, std::exchange(channels_, {}), std::exchange(fields_, {}), registers_));
+  }
+
+ private:
+  std::shared_ptr<Registers> registers_;
+  Discovery& discovery_;
+  std::vector<Channel> channels_;
+  std::vector<Field> fields_;
+};
+
+struct Domain {
+  std::string_view name;
+  uint32_t number;
+};
+
+// Energy is low 32 bits x 2^-unit J. In nJ, rounded down, a value is right to 1 nJ, and the
+// register's 2^32 are 10^9 x 2^(32 - unit) nJ, a whole number: the channel wraps exactly.
+void add_energy(Gathering& gathering, std::span<const Domain> domains, int unit) {
+  constexpr uint64_t nj_per_j = 1'000'000'000;
+  for (const Domain& domain : domains) {
+    Channel* const channel =
+        gathering.add(fmt::format("rapl.{}.energy", domain.name), Quantity::energy, Unit::nanojoule,
+                      Kind::cumulative, {domain.number, 0, 0xffffffff, nj_per_j, unit});
+    if (channel != nullptr)
+      channel->wrap_at = static_cast<int64_t>(((uint64_t{1} << 32) * nj_per_j) >> unit) - 1;
+  }
+  gathering.finish(energy_period_ns);
+}
+
+struct Reason {
+  int bit;
+  std::string_view name;
+};
+// Not the bits for the clock limit of many active cores, and for "inefficient operation": neither
+// is throttling.
+constexpr std::array perf_limit_reasons{
+    Reason{0, "prochot"}, Reason{1, "thermal"},       Reason{4, "residency"},
+    Reason{5, "ratl"},    Reason{6, "vr_thermalert"}, Reason{7, "vr_tdc"},
+    Reason{8, "edp"},     Reason{10, "pl1"},          Reason{11, "pl2"}};
+constexpr std::array package_reasons{Reason{0, "thermal"}, Reason{2, "prochot"},
+                                     Reason{4, "critical"}, Reason{10, "power_limit"}};
+
+void add_flags(Gathering& gathering, std::string_view domain, uint32_t number,
+               std::span<const Reason> reasons) {
+  for (const Reason& reason : reasons)
+    gathering.add(fmt::format("msr.{}.throttle.{}", domain, reason.name), Quantity::throttle,
+                  Unit::count, Kind::flag, {number, reason.bit, 1});
+}
+
+void discover_intel(Gathering& gathering, uint64_t units) {
+  constexpr std::array domains{Domain{"package-0", 0x611}, Domain{"core", 0x639},
+                               Domain{"uncore", 0x641}, Domain{"dram", 0x619},
+                               Domain{"psys", 0x64d}};
+  add_energy(gathering, domains, static_cast<int>((units >> 8) & 0x1f));
+  const int power_unit = static_cast<int>(units & 0xf);
+  for (const auto& [name, first_bit] : {std::pair{"pl1", 0}, std::pair{"pl2", 32}})
+    gathering.add(fmt::format("rapl.package-0.{}", name), Quantity::limit, Unit::microwatt,
+                  Kind::gauge, {0x610, first_bit, 0x7fff, 1'000'000, power_unit, true});
+  gathering.finish(limit_period_ns);
+  add_flags(gathering, "core", 0x64f, perf_limit_reasons);
+  add_flags(gathering, "gfx", 0x6b0, perf_limit_reasons);
+  add_flags(gathering, "ring", 0x6b1, perf_limit_reasons);
+  add_flags(gathering, "package", 0x1b1, package_reasons);
+  gathering.finish(flag_period_ns);
+}
+
+Missing explain(const Root& root, int error) {
+  const std::string path = root.display(root.is_host() ? device : table);
+  const std::string reason = fmt::format("cannot read '{}': {}", path, errno_text(error));
+  if (error == ENOENT) return {"msr", reason, root.is_host() ? "sudo modprobe msr" : ""};
+  if (error == EPERM)
+    return {"msr", reason + "; Secure Boot's lockdown refuses it to everybody", ""};
+  if (error == EACCES) return {"msr", reason, "sudo energyprof probe --allow-msr"};
+  return {"msr", reason + "; neither Intel's nor AMD's energy registers are there", ""};
+}
+
+}  // namespace
+
+void discover_msr(const Root& root, const Selection& selection, Discovery& discovery) {
+  if (!selection.allow_msr) {
+    discovery.missing.push_back(
+        {"msr", "not read unless allowed", "sudo energyprof probe --allow-msr"});
+    return;
+  }
+  constexpr uint32_t intel_unit = 0x606;
+  constexpr uint32_t amd_unit = 0xc0010299;
+  const auto registers = std::make_shared<Registers>(root);
+  const size_t source_count = discovery.sources.size();
+  Gathering gathering(registers, discovery);
+  const Registers::Value intel = registers->read(intel_unit);
+  if (intel.bits) {
+    discover_intel(gathering, *intel.bits);
+  } else if (const auto amd = registers->read(amd_unit); amd.bits) {
+    constexpr std::array domains{Domain{"package-0", 0xc001029b}, Domain{"core", 0xc001029a}};
+    add_energy(gathering, domains, static_cast<int>((*amd.bits >> 8) & 0x1f));
+  } else {
+    discovery.missing.push_back(explain(root, intel.error));
+    return;
+  }
+  if (discovery.sources.size() == source_count)
+    discovery.missing.push_back(
+        {"msr", "its registers tell nothing that is not read elsewhere", ""});
+}
+
+}  // namespace energyprof::probe

@@ -1,0 +1,99 @@
+/// Performance counters that sysfs describes: RAPL, memory controllers, GPUs.
+///
+/// Kernel: Documentation/ABI/testing/sysfs-bus-event_source-devices-{events,format}.
+#pragma once
+
+#include <array>
+#include <map>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "probe/root.h"
+#include "probe/source.h"
+
+namespace energyprof::probe {
+
+/// A performance monitoring unit: a directory of sys/bus/event_source/devices.
+struct Pmu {
+  std::string name;
+  uint32_t type = 0;  ///< as perf_event_open() wants it; differs from boot to boot
+  std::vector<int>
+      cpus;  ///< those on which it counts for the whole machine; {0} if it does not say
+  std::map<std::string, std::string> formats;  ///< term -> where it goes: "config:0-7"
+};
+
+/// nullopt if there is none of this name, or its type cannot be read.
+std::optional<Pmu> read_pmu(const Root& root, std::string_view name);
+/// Names of all units, in natural order.
+std::vector<std::string> list_pmus(const Root& root);
+
+/// config, config1 and config2 of perf_event_attr.
+struct EventCode {
+  std::array<uint64_t, 3> config{};
+  std::string problem;  ///< why the event cannot be encoded; empty: it can
+};
+/// Encodes "event=0xff,umask=0x20" with the formats of its unit. A term without value is 1;
+/// "config", "config1" and "config2" are whole words. Unknown terms, values that do not fit their
+/// field, and text that is none of this are problems.
+EventCode encode_event(std::string_view event, const std::map<std::string, std::string>& formats);
+
+/// The CPUs of "0,24" or "0-3,8"; nullopt for other text, or for more than 4096 of them.
+std::optional<std::vector<int>> parse_cpu_list(std::string_view text);
+
+/// One counter to open.
+struct CounterPlan {
+  uint32_t type = 0;
+  std::array<uint64_t, 3> config{};
+  int pid = -1;  ///< -1: the whole machine; 0: the calling thread and what it starts
+  int cpu = -1;  ///< -1: whatever it runs on
+  bool exclude_kernel = false;
+};
+
+/// One channel, the sum of its counters, each count worth `factor` in the channel's unit.
+struct ChannelPlan {
+  Channel channel;
+  long double factor = 1;
+  std::vector<CounterPlan> counters;
+};
+
+/// A channel of one event of a unit on each of `cpus`; unit and factor from the event's .unit and
+/// .scale: Joules become nJ, MiB bytes; ns, ms and plain counts stay; M (millions, of i915's
+/// clocks) becomes single counts. nullopt, and a Missing of `source`, for an event that cannot be
+/// encoded; nullopt alone for one that is not there.
+std::optional<ChannelPlan> plan_event(const Root& root, const Pmu& pmu, std::string_view event,
+                                      std::string_view source, Discovery& discovery);
+
+/// One open counter.
+class Counter {
+ public:
+  /// The descriptor, or -errno.
+  static int open(const CounterPlan& plan);
+  explicit Counter(int fd) : fd_(fd) {}
+  ~Counter();
+  Counter(Counter&& other) noexcept;
+  Counter& operator=(Counter&&) = delete;
+
+  struct Count {
+    uint64_t value = 0;
+    uint64_t enabled_ns = 0;
+    uint64_t running_ns = 0;  ///< less than enabled: it shared the hardware with others
+    int error = 0;
+  };
+  [[nodiscard]] Count read() const noexcept;
+
+ private:
+  int fd_;
+};
+
+/// Opens what was planned and adds a source of it; for what the kernel refuses a Missing with the
+/// permission that would change it.
+void add_counters(const Root& root, Discovery& discovery, const std::string& source,
+                  int64_t period_ns, std::vector<ChannelPlan> plans, SourceTraits traits);
+
+/// What the kernel would have to allow: reason and fix for events of the whole machine.
+Missing machine_wide_refusal(const Root& root, const std::string& source, const std::string& names,
+                             int error);
+
+}  // namespace energyprof::probe

@@ -1,0 +1,239 @@
+// Counters that sysfs describes, and registers: what would be opened on other machines, and what
+// this one counts.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cerrno>
+
+#include "probe/machine_counters.h"
+#include "probe/perf_events.h"
+#include "tree.h"
+
+namespace energyprof::probe {
+namespace {
+
+using testing::Contains;
+using testing::ElementsAre;
+using testing::Field;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::Not;
+using testing::SizeIs;
+
+Root machine(const std::string& name) { return Root(Tree::machine_dir(name).string()); }
+
+auto missing_because(const std::string& reason) {
+  return Contains(Field(&Missing::reason, HasSubstr(reason)));
+}
+
+const std::map<std::string, std::string> formats{
+    {"event", "config:0-7"},       {"umask", "config:8-15"}, {"edge", "config:18"},
+    {"split", "config1:12-15,20"}, {"all", "config2:0-63"},  {"odd", "config:9-3"}};
+
+TEST(EncodeEvent, PutsEachTermWhereItsFormatSays) {
+  EXPECT_EQ(encode_event("event=0xff,umask=0x20", formats).config[0], 0x20ffu);
+  EXPECT_EQ(encode_event("config=0x100000", {}).config[0], 0x100000u);
+  EXPECT_EQ(encode_event("event=0x1,edge", formats).config[0], 0x40001u);
+  // 0x1f: four bits at 12, the fifth at 20.
+  EXPECT_EQ(encode_event("split=0x1f", formats).config[1], 0x10f000u);
+  EXPECT_EQ(encode_event("all=0xffffffffffffffff", formats).config[2], ~uint64_t{0});
+  EXPECT_EQ(encode_event(" event=3 \n", formats).config[0], 3u);
+}
+
+TEST(EncodeEvent, SaysWhatIsWrong) {
+  for (const auto& [text, problem] :
+       std::map<std::string, std::string>{{"", "empty"},
+                                          {"event=0x100", "does not fit"},
+                                          {"nothing=1", "no format"},
+                                          {"event=", "no number"},
+                                          {"event=zz", "no number"},
+                                          {"odd=1", "does not fit"},
+                                          {"event=0x11111111111111111", "no number"}})
+    EXPECT_THAT(encode_event(text, formats).problem, HasSubstr(problem)) << text;
+}
+
+TEST(ParseCpuList, TakesNumbersAndRanges) {
+  EXPECT_THAT(*parse_cpu_list("0,24\n"), ElementsAre(0, 24));
+  EXPECT_THAT(*parse_cpu_list("0-2,8"), ElementsAre(0, 1, 2, 8));
+  for (const char* text : {"", "x", "3-1", "0-99999999", "1,,2"})
+    EXPECT_EQ(parse_cpu_list(text), std::nullopt) << text;
+}
+
+TEST(PerfRapl, OpensEachDomainOnceInNanojoules) {
+  Discovery found;
+  const std::vector<ChannelPlan> plans = plan_perf_rapl(machine("intel-rplp-i915-laptop"), found);
+  std::map<std::string, const ChannelPlan*> by_name;
+  for (const ChannelPlan& plan : plans) by_name[plan.channel.name] = &plan;
+  ASSERT_THAT(by_name, SizeIs(4));
+  const ChannelPlan& gpu = *by_name.at("rapl.uncore.energy");
+  EXPECT_EQ(gpu.channel.unit, Unit::nanojoule);
+  EXPECT_EQ(gpu.channel.wrap_at, std::nullopt);
+  ASSERT_THAT(gpu.counters, SizeIs(1));
+  EXPECT_EQ(gpu.counters[0].type, 17u);
+  EXPECT_EQ(gpu.counters[0].config[0], 0x04u);
+  EXPECT_EQ(gpu.counters[0].cpu, 0);
+  EXPECT_EQ(gpu.counters[0].pid, -1);
+  // 2^32 counts are one joule.
+  EXPECT_NEAR(static_cast<double>(gpu.factor * 4294967296.0L), 1e9, 1e-3);
+  EXPECT_THAT(by_name, Contains(testing::Key("rapl.package-0.energy")));
+  EXPECT_THAT(by_name, Contains(testing::Key("rapl.psys.energy")));
+  EXPECT_THAT(found.missing, IsEmpty());
+}
+
+TEST(PerfRapl, NamesPackagesApartAndBelievesAmdOnlyItsPackage) {
+  const std::string power = "sys/bus/event_source/devices/power/";
+  const std::string cpus = "sys/devices/system/cpu/";
+  const Tree tree{{power + "type", "30\n"},
+                  {power + "cpumask", "0,8\n"},
+                  {power + "format/event", "config:0-7\n"},
+                  {power + "events/energy-pkg", "event=0x02\n"},
+                  {power + "events/energy-pkg.scale", "2.3283064365386962890625e-10\n"},
+                  {power + "events/energy-pkg.unit", "Joules\n"},
+                  {power + "events/energy-gpu", "event=0x04\n"},
+                  {cpus + "cpu0/topology/physical_package_id", "0\n"},
+                  {cpus + "cpu8/topology/physical_package_id", "1\n"},
+                  {"proc/cpuinfo", "vendor_id\t: AuthenticAMD\n"}};
+  Discovery found;
+  std::vector<std::string> names;
+  for (const ChannelPlan& plan : plan_perf_rapl(tree.root(), found))
+    names.push_back(plan.channel.name);
+  EXPECT_THAT(names, ElementsAre("rapl.package-0.energy", "rapl.package-1.energy"));
+}
+
+TEST(PerfRapl, SaysWhyAnEventIsNoUse) {
+  const std::string power = "sys/bus/event_source/devices/power/";
+  const Tree tree{{power + "type", "30\n"},
+                  {power + "events/energy-pkg", "event=0x02\n"},
+                  {power + "format/other", "config:0-7\n"},
+                  {power + "events/energy-gpu", "config=4\n"},
+                  {power + "events/energy-gpu.scale", "-1\n"}};
+  Discovery found;
+  EXPECT_THAT(plan_perf_rapl(tree.root(), found), IsEmpty());
+  EXPECT_THAT(found.missing, missing_because("no format says where 'event'"));
+  EXPECT_THAT(found.missing, missing_because("no positive number"));
+}
+
+TEST(Uncore, AddsUpTheControllersInBytes) {
+  Discovery found;
+  for (const char* name : {"intel-rplp-i915-laptop", "intel-lnl-xe-handheld"}) {
+    const std::vector<ChannelPlan> plans = plan_uncore(machine(name), found);
+    ASSERT_THAT(plans, SizeIs(2)) << name;
+    for (const ChannelPlan& plan : plans) {
+      EXPECT_EQ(plan.channel.quantity, Quantity::memory_traffic);
+      EXPECT_EQ(plan.channel.unit, Unit::byte);
+      EXPECT_EQ(plan.factor, 64.0L);
+      EXPECT_THAT(plan.counters, SizeIs(2));
+    }
+    EXPECT_EQ(plans[0].channel.name, "uncore.imc.read");
+    EXPECT_EQ(plans[0].counters[0].config[0], 0x20ffu);
+    EXPECT_EQ(plans[1].counters[0].config[0], 0x30ffu);
+  }
+}
+
+TEST(Uncore, TellsTheGpusRequestsApartWhereTheControllerDoes) {
+  const std::string imc = "sys/bus/event_source/devices/uncore_imc/";
+  const Tree tree{{imc + "type", "9\n"},
+                  {imc + "format/event", "config:0-7\n"},
+                  {imc + "events/gt_requests", "event=0x03\n"},
+                  {imc + "events/gt_requests.scale", "6.103515625e-5\n"},
+                  {imc + "events/gt_requests.unit", "MiB\n"}};
+  Discovery found;
+  const std::vector<ChannelPlan> plans = plan_uncore(tree.root(), found);
+  ASSERT_THAT(plans, SizeIs(1));
+  EXPECT_EQ(plans[0].channel.name, "uncore.imc.gt");
+}
+
+TEST(GpuCounters, AreThoseOfTheDriversUnit) {
+  Discovery found;
+  const std::vector<GpuPlan> i915 = plan_i915_pmu(machine("intel-rplp-i915-laptop"), found);
+  ASSERT_THAT(i915, SizeIs(1));
+  EXPECT_EQ(i915[0].gpu, "0000:00:02.0");
+  std::map<std::string, const ChannelPlan*> by_name;
+  for (const ChannelPlan& plan : i915[0].plans) by_name[plan.channel.name] = &plan;
+  EXPECT_EQ(by_name.at("i915.pmu.gt0.actual_cycles")->counters[0].config[0], 0x100000u);
+  EXPECT_EQ(by_name.at("i915.pmu.gt0.actual_cycles")->factor, 1e6L);
+  EXPECT_EQ(by_name.at("i915.pmu.gt0.rc6")->channel.unit, Unit::nanosecond);
+  EXPECT_EQ(by_name.at("i915.pmu.rcs0.busy")->counters[0].config[0], 0u);
+  EXPECT_EQ(by_name.count("i915.pmu.bcs0.busy"), 0u);
+
+  const std::vector<GpuPlan> xe = plan_xe_pmu(machine("intel-lnl-xe-handheld"), found);
+  ASSERT_THAT(xe, SizeIs(1));
+  EXPECT_EQ(xe[0].gpu, "0000:00:02.0");
+  // Its clock events keep the GPU awake while they are open.
+  ASSERT_THAT(xe[0].plans, SizeIs(1));
+  EXPECT_EQ(xe[0].plans[0].channel.name, "xe.pmu.gt0.c6");
+  EXPECT_THAT(found.missing, IsEmpty());
+}
+
+TEST(MachineCounters, AreNotForARoot) {
+  const Discovery found = discover(machine("intel-rplp-i915-laptop"));
+  for (const char* source : {"perf_rapl", "i915_pmu", "xe_pmu", "perf", "uncore"})
+    EXPECT_THAT(found.missing,
+                Contains(testing::AllOf(Field(&Missing::source, source),
+                                        Field(&Missing::reason, HasSubstr("not under --root")))));
+}
+
+TEST(MachineCounters, SayWhatTheKernelWouldHaveToAllow) {
+  const Tree tree{{"proc/sys/kernel/perf_event_paranoid", "4\n"}};
+  const Missing missing = machine_wide_refusal(tree.root(), "uncore", "'x'", EACCES);
+  EXPECT_THAT(missing.reason, HasSubstr("perf_event_paranoid is 4"));
+  EXPECT_THAT(missing.fix, HasSubstr("setcap cap_perfmon"));
+}
+
+TEST(ProcessUsage, CountsThePageFaultsOfThisProcess) {
+  Discovery found;
+  add_process_usage(found);
+  const int64_t before = poll_all(found)["process.page_faults"].value;
+  // More than any allocator keeps.
+  std::vector<char> memory(size_t{64} << 20, 1);
+  EXPECT_GE(poll_all(found)["process.page_faults"].value - before, 16);
+  EXPECT_EQ(memory[123], 1);
+}
+
+Selection with_msr() { return Selection{.sources = {"powercap", "msr"}, .allow_msr = true}; }
+
+TEST(Msr, IsReadOnlyIfAllowed) {
+  const Discovery found =
+      discover(machine("intel-rplp-i915-laptop"), Selection{.sources = {"msr"}});
+  EXPECT_THAT(found.sources, IsEmpty());
+  EXPECT_THAT(found.missing, Contains(Field(&Missing::fix, HasSubstr("--allow-msr"))));
+}
+
+TEST(Msr, GivesWhatPowercapDoesNot) {
+  Selection selection = with_msr();
+  const Discovery both = discover(machine("intel-rplp-i915-laptop"), selection);
+  EXPECT_EQ(channel_called(both, "rapl.package-0.energy").source, "powercap");
+  EXPECT_EQ(poll_all(both)["msr.gfx.throttle.pl1"].value, 1);
+
+  selection.sources = {"msr"};
+  const Discovery alone = discover(machine("intel-rplp-i915-laptop"), selection);
+  auto readings = poll_all(alone);
+  // 0x1a54e1dd x 2^-14 J
+  EXPECT_EQ(readings["rapl.package-0.energy"].value,
+            static_cast<int64_t>(uint64_t{0x1a54e1dd} * 1'000'000'000 >> 14));
+  EXPECT_EQ(channel_called(alone, "rapl.package-0.energy").wrap_at,
+            (int64_t{1} << 18) * 1'000'000'000 - 1);
+  EXPECT_EQ(readings["rapl.package-0.pl1"].value, 45'000'000);
+  EXPECT_EQ(readings["rapl.package-0.pl2"].value, 115'000'000);
+  EXPECT_EQ(readings.count("rapl.dram.energy"), 0u);  // the register is not there
+  // 0x64f = 0x3d001000: max-turbo limit alone is active, and that is no throttling.
+  for (const auto& [name, reading] : readings) {
+    if (name.starts_with("msr.core.")) {
+      EXPECT_EQ(reading.value, 0) << name;
+    }
+  }
+  EXPECT_EQ(readings["msr.package.throttle.power_limit"].value, 1);
+  EXPECT_EQ(readings["msr.package.throttle.prochot"].value, 0);
+}
+
+TEST(Msr, ReadsAmdAndSaysWhyNotOtherwise) {
+  const Tree amd{{"dev/cpu/0/msr.tsv", "0xc0010299\t0xa1000\n0xc001029b\t0x10000\n"}};
+  const Discovery found = discover(amd.root(), with_msr());
+  EXPECT_EQ(poll_all(found)["rapl.package-0.energy"].value, 1'000'000'000);  // 2^16 x 2^-16 J
+  EXPECT_THAT(discover(Tree().root(), with_msr()).missing, missing_because("msr.tsv"));
+  const Tree junk{{"dev/cpu/0/msr.tsv", "0x606\tzz\n\n0x\n"}};
+  EXPECT_THAT(discover(junk.root(), with_msr()).missing, missing_because("neither"));
+}
+
+}  // namespace
+}  // namespace energyprof::probe
