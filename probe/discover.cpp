@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "core/clock.h"
+#include "probe/amdgpu.h"
 #include "probe/battery.h"
 #include "probe/cgroup.h"
 #include "probe/cpufreq.h"
@@ -47,6 +48,7 @@ constexpr std::array rows{
     Row{"powercap", plain<discover_powercap>},
     Row{"i915", plain<discover_i915>},
     Row{"xe", plain<discover_xe>},
+    Row{"amdgpu", plain<discover_amdgpu>},
     Row{"hwmon", plain<discover_hwmon>},
     Row{"thermal", plain<discover_thermal>},
     Row{"cpufreq", plain<discover_cpufreq>},
