@@ -271,10 +271,14 @@ bool is_aldebaran(uint32_t pci_device) {
          pci_device == 0x7410;
 }
 
+constexpr uint64_t all_bits(size_t width) {
+  return width >= sizeof(uint64_t) ? ~uint64_t{0} : (uint64_t{1} << (8 * width)) - 1;
+}
+
 // One flag per named bit, and one for all that have no name.
 void add_flags(std::string_view member, size_t offset, size_t width, std::span<const Bit> bits,
                std::vector<MetricsField>& fields) {
-  uint64_t unnamed = ~uint64_t{0} >> (64 - 8 * width);
+  uint64_t unnamed = all_bits(width);
   const auto add = [&](std::string_view name, Quantity quantity, uint64_t mask) {
     fields.push_back({name, member, quantity, count, Kind::flag, offset, width, mask});
     unnamed &= ~mask;
@@ -322,7 +326,7 @@ std::string metrics_problem(std::span<const char> table) {
 std::optional<int64_t> MetricsField::value(std::span<const char> table) const noexcept {
   if (offset + width > table.size()) return std::nullopt;
   const uint64_t raw = load(table, offset, width);
-  if (raw == ~uint64_t{0} >> (64 - 8 * width)) return std::nullopt;
+  if (raw == all_bits(width)) return std::nullopt;
   if (mask != 0) return (raw & mask) != 0 ? 1 : 0;
   if ((unit == percent && raw > 100) || (unit == centi && raw > 100 * 100)) return std::nullopt;
   if (quantity == Quantity::energy) {
