@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "core/clock.h"
+#include "probe/amdgpu.h"
 #include "probe/battery.h"
 #include "probe/cgroup.h"
 #include "probe/cpufreq.h"
@@ -53,6 +54,7 @@ constexpr std::array rows{
     Row{"i915_pmu", plain<discover_i915_pmu>, true},
     Row{"xe", plain<discover_xe>},
     Row{"xe_pmu", plain<discover_xe_pmu>, true},
+    Row{"amdgpu", plain<discover_amdgpu>},
     Row{"hwmon", plain<discover_hwmon>},
     Row{"thermal", plain<discover_thermal>},
     Row{"cpufreq", plain<discover_cpufreq>},

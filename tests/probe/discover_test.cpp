@@ -27,7 +27,8 @@ TEST(Discover, RefusesASourceThereIsNot) {
     discover(Root(), Selection{{"powercap", "nvml2"}});
     FAIL() << "an unknown source was accepted";
   } catch (const std::runtime_error& error) {
-    EXPECT_THAT(error.what(), AllOf(HasSubstr("'nvml2'"), HasSubstr("powercap, "), HasSubstr("hwmon, thermal")));
+    EXPECT_THAT(error.what(),
+                AllOf(HasSubstr("'nvml2'"), HasSubstr("powercap, "), HasSubstr("hwmon, thermal")));
   }
 }
 
