@@ -8,7 +8,7 @@
 
 namespace energyprof::probe {
 
-/// Channels "amdgpu.<what>" ("amdgpu@0000:03:00.0.<what>" where there are several cards) of the
+/// Channels "amdgpu.<what>" ("amdgpu@0000:03:00_0.<what>" where there are several cards) of the
 /// table gpu_metrics (gpu_metrics.h), of the files gpu_busy_percent and mem_busy_percent, and of
 /// pp_dpm_* for clocks that the table does not have. What the driver's hwmon chip has is hwmon's.
 void discover_amdgpu(const Root& root, Discovery& discovery);
