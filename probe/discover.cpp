@@ -19,6 +19,7 @@
 #include "probe/i915.h"
 #include "probe/machine_counters.h"
 #include "probe/msr.h"
+#include "probe/nvml.h"
 #include "probe/perf_events.h"
 #include "probe/powercap.h"
 #include "probe/proc_stat.h"
@@ -55,6 +56,7 @@ constexpr std::array rows{
     Row{"xe", plain<discover_xe>},
     Row{"xe_pmu", plain<discover_xe_pmu>, true},
     Row{"amdgpu", plain<discover_amdgpu>},
+    Row{"nvml", discover_nvml, true},
     Row{"hwmon", plain<discover_hwmon>},
     Row{"thermal", plain<discover_thermal>},
     Row{"cpufreq", plain<discover_cpufreq>},
