@@ -740,10 +740,13 @@ INSTANTIATE_TEST_SUITE_P(
                   {"--set", "models.0=teapot:0"},
                   "CONFIG: /models/0: 'teapot:0' is not a model; expected teapot, bunny, dragon, "
                   "teapot:N (N from 1 to 256) or a path to .ply, .ply.gz or .obj"},
-        BadConfig{"unknown_source",
-                  {"--set", "sampler.sources=[\"rapl\"]"},
-                  "CONFIG: /sampler/sources/0: 'rapl' is not a source; expected powercap, hwmon, "
-                  "thermal, cpufreq, proc_stat, psi, cgroup, perf"},
+        BadConfig{
+            "unknown_source",
+            {"--set", "sampler.sources=[\"rapl\"]"},
+            "CONFIG: /sampler/sources/0: 'rapl' is not a source; expected perf_rapl, "
+            "powercap, msr, i915, i915_pmu, xe, xe_pmu, amdgpu, nvml, hwmon, thermal, cpufreq, "
+            "thermal_throttle, devfreq, v3d, raspberrypi, battery, proc_stat, psi, cgroup, perf, "
+            "uncore"},
         BadConfig{"no_models",
                   {"--set", "models=[]"},
                   "CONFIG: /models: [] is not allowed; expected a list of different models"},
