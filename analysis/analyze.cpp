@@ -464,12 +464,17 @@ SensorSummary summarize(const Channel& channel, const SampleSeries* series, bool
     sensor.max = *high;
   }
   if (channel.kind == Kind::cumulative && series != nullptr && sensor.sample_count > 1) {
-    const Unwrapped total = unwrap(series->value, channel.wrap_at);
+    const Unwrapped total = unwrap(channel, *series);
     sensor.increase = total.value.back();
-    if (total.reset_count > 0)
+    if (!total.resets.empty())
       warnings.push_back(
-          fmt::format("{} fell {} without a wrap: it was reset; the falls count as nothing.",
-                      channel.name, counted(total.reset_count, "time")));
+          fmt::format("{} started anew {}: steps that no wrap explains, or no such sensor can take "
+                      "in the time, count as nothing.",
+                      channel.name, counted(total.resets.size(), "time")));
+    if (!total.gaps.empty())
+      warnings.push_back(
+          fmt::format("{} may have wrapped more than once in {}: they count as nothing.",
+                      channel.name, counted(total.gaps.size(), "gap")));
   }
   sensor.status = sensor_status(sensor, went_away);
   const bool should_move =

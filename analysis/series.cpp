@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cassert>
+#include <iterator>
 #include <numeric>
+#include <string_view>
 #include <utility>
 
 #include "core/clock.h"
@@ -34,24 +36,6 @@ std::string stored_unit(const Channel& channel) {
   return channel.unit_text.empty() ? std::string(unit_info(channel.unit).name) : channel.unit_text;
 }
 
-Unwrapped unwrap(const std::vector<double>& value, std::optional<int64_t> wrap_at) {
-  Unwrapped result;
-  result.value.reserve(value.size());
-  double increase = 0;
-  for (std::size_t i = 0; i < value.size(); ++i) {
-    const double step = i == 0 ? 0 : value[i] - value[i - 1];
-    if (step >= 0) {
-      increase += step;
-    } else if (wrap_at && value[i - 1] <= static_cast<double>(*wrap_at)) {
-      increase += step + static_cast<double>(*wrap_at) + 1;
-    } else {
-      ++result.reset_count;
-    }
-    result.value.push_back(increase);
-  }
-  return result;
-}
-
 Cadence cadence(const SampleSeries& series) {
   Cadence result;
   std::vector<int64_t> polls;
@@ -69,18 +53,116 @@ Cadence cadence(const SampleSeries& series) {
   return result;
 }
 
+std::optional<double> fastest_rate(Unit unit) {
+  const std::string_view si = unit_info(unit).si;
+  if (si == "J") return 2e3;
+  if (si == "s") return 1024;
+  if (si == "B") return 2e13;
+  if (unit == Unit::count) return 1e13;
+  return std::nullopt;
+}
+
+namespace {
+
+/// What a counter did from one sample to the next, and whether it can be believed.
+class Steps {
+ public:
+  Steps(const Channel& channel, const SampleSeries& series) : series_(series) {
+    if (channel.wrap_at) span_ = static_cast<double>(*channel.wrap_at) + 1;
+    if (const auto rate = fastest_rate(channel.unit))
+      fastest_per_ns_ = *rate / unit_info(channel.unit).to_si * 1e-9;
+    const Cadence pace = cadence(series);
+    update_ns_ = pace.update_ns.value_or(0);
+    find_longest_gap(pace.poll_ns.value_or(0));
+  }
+
+  /// The increase up to sample `i`, wraps undone; nullopt where the counter started anew.
+  [[nodiscard]] std::optional<double> increase(std::size_t i, int64_t changed_ns) const {
+    double step = series_.value[i] - series_.value[i - 1];
+    if (step < 0) {
+      if (!span_ || series_.value[i - 1] >= *span_) return std::nullopt;
+      step += *span_;
+    }
+    const auto time_ns = static_cast<double>(series_.t_ns[i] - changed_ns + update_ns_);
+    if (fastest_per_ns_ && step > *fastest_per_ns_ * time_ns) return std::nullopt;
+    return step;
+  }
+  [[nodiscard]] bool is_gap(std::size_t i) const {
+    return longest_gap_ns_ && static_cast<double>(gap_ns(i)) > *longest_gap_ns_;
+  }
+
+ private:
+  [[nodiscard]] int64_t gap_ns(std::size_t i) const {
+    return series_.t_ns[i] - series_.t_ns[i - 1];
+  }
+
+  /// Half a wrap at the mean rate of all steps that are not much longer than usual.
+  void find_longest_gap(int64_t usual_ns) {
+    if (!span_) return;
+    double total = 0;
+    double time_ns = 0;
+    int64_t changed_ns = series_.t_ns.empty() ? 0 : series_.t_ns.front();
+    for (std::size_t i = 1; i < series_.value.size(); ++i) {
+      const auto step = increase(i, changed_ns);
+      if (series_.value[i] != series_.value[i - 1]) changed_ns = series_.t_ns[i];
+      if (!step || gap_ns(i) > 10 * usual_ns) continue;
+      total += *step;
+      time_ns += static_cast<double>(gap_ns(i));
+    }
+    if (total > 0) longest_gap_ns_ = 0.5 * *span_ / total * time_ns;
+  }
+
+  const SampleSeries& series_;
+  std::optional<double> span_;  // values that the counter can have
+  std::optional<double> fastest_per_ns_;
+  int64_t update_ns_ = 0;
+  std::optional<double> longest_gap_ns_;
+};
+
+}  // namespace
+
+Unwrapped unwrap(const Channel& channel, const SampleSeries& series) {
+  Unwrapped result;
+  if (series.value.empty()) return result;
+  const Steps steps(channel, series);
+  result.value.reserve(series.value.size());
+  result.value.push_back(0);
+  int64_t changed_ns = series.t_ns.front();
+  for (std::size_t i = 1; i < series.value.size(); ++i) {
+    const auto step = steps.increase(i, changed_ns);
+    if (!step)
+      result.resets.push_back(i);
+    else if (steps.is_gap(i))
+      result.gaps.push_back(i);
+    const bool known = step && !steps.is_gap(i);
+    result.value.push_back(result.value.back() + (known ? *step : 0.0));
+    if (series.value[i] != series.value[i - 1]) changed_ns = series.t_ns[i];
+  }
+  return result;
+}
+
 std::optional<Curve> rate(const Channel& channel, const SampleSeries& series) {
   const Cadence pace = cadence(series);
   if (!pace.poll_ns) return std::nullopt;
   const int64_t update_ns = std::min(pace.update_ns.value_or(*pace.poll_ns), 100 * ns_per_ms);
   const int64_t window_ns = 20 * std::max({*pace.poll_ns, update_ns, int64_t{1}});
   const double factor = unit_info(channel.unit).to_si;
-  const std::vector<double> total = unwrap(series.value, channel.wrap_at).value;
+  const Unwrapped unwrapped = unwrap(channel, series);
+  const std::vector<double>& total = unwrapped.value;
+  std::vector<std::size_t> breaks;
+  std::merge(unwrapped.resets.begin(), unwrapped.resets.end(), unwrapped.gaps.begin(),
+             unwrapped.gaps.end(), std::back_inserter(breaks));
 
   Curve curve;
   curve.unit = per_second(channel);
   std::size_t first = 0;
+  auto next_break = breaks.begin();
   for (std::size_t i = 1; i < total.size(); ++i) {
+    if (next_break != breaks.end() && *next_break == i) {
+      first = i;
+      ++next_break;
+      continue;
+    }
     const int64_t span_ns = series.t_ns[i] - series.t_ns[first];
     if (span_ns < window_ns) continue;
     append(curve, series.t_ns[i],

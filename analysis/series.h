@@ -16,13 +16,27 @@ std::string stored_unit(const Channel& channel);
 
 /// A cumulative channel that only rises.
 struct Unwrapped {
-  std::vector<double> value;    ///< increase since the first sample, in the channel's unit
-  std::size_t reset_count = 0;  ///< falls that no wrap_at explains; each counts as no increase
+  std::vector<double> value;  ///< increase since the first sample, in the channel's unit
+  /// Indices of samples at which the counter started anew: a fall that no wrap explains, or a step
+  /// that no such sensor can take in the time. The increase up to there is unknown and counts as
+  /// none.
+  std::vector<std::size_t> resets;
+  /// Indices of samples before which so much time had passed that the counter may have wrapped more
+  /// than once: longer than half of what it takes to wrap at the series' own mean rate. The
+  /// increase is unknown and counts as none.
+  std::vector<std::size_t> gaps;
 };
 
-/// Undoes the wraps of a counter that returns to 0 after `wrap_at`. Two wraps between two samples
-/// look like one.
-Unwrapped unwrap(const std::vector<double>& value, std::optional<int64_t> wrap_at);
+/// The fastest that a counter with this unit can be believed to rise, in SI units per second: 2 kW,
+/// 1024 processors' time, 20 TB/s, 1e13 events/s; nullopt for other units.
+std::optional<double> fastest_rate(Unit unit);
+
+/// Undoes the wraps of a counter that returns to 0 after Channel::wrap_at.
+///
+/// A step is believed if its rate is possible. The rate is taken over the time since the value last
+/// changed and one update more, for a sensor that moves rarely may move at once after it was seen
+/// to move.
+Unwrapped unwrap(const Channel& channel, const SampleSeries& series);
 
 /// How the values of a series came.
 struct Cadence {
@@ -42,8 +56,8 @@ struct Curve {
 /// The mean rate of a cumulative channel, in SI per second (watts for an energy counter), over
 /// consecutive windows; each value stands at the end of its window. A window spans at least 20
 /// polls and 20 updates of the sensor (updates slower than 100 ms count as 100 ms), so that the two
-/// updates its ends may be off by are at most a tenth of it. nullopt when the series is too short
-/// for one.
+/// updates its ends may be off by are at most a tenth of it. No window reaches over a reset or gap
+/// of unwrap(). nullopt when the series is too short for one.
 std::optional<Curve> rate(const Channel& channel, const SampleSeries& series);
 
 /// Which points to keep of a curve, in time order, so that at most `max_count` (at least 2) are

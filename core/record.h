@@ -117,10 +117,25 @@ struct Event {
   std::string text;
 };
 
+/// A frame of the self-check, which traces the same work with the sampler on and off in turn. It
+/// belongs to no trial.
+struct SelfCheckFrame {
+  int64_t block = 0;  ///< consecutive frames with the sampler in one state; counted from 0
+  bool sampler_on = true;
+  int64_t begin_ns = 0;  ///< as FrameRecord's
+  int64_t end_ns = 0;
+};
+
 /// The samples of one channel in time order, as analysis reads them.
 struct SampleSeries {
   std::vector<int64_t> t_ns;
   std::vector<double> value;  ///< in Channel::unit
+};
+
+/// A read that took longer than wide_read_ns: the sample of this channel at t_ns.
+struct WideRead {
+  int64_t t_ns = 0;
+  int64_t width_ns = 0;
 };
 
 /// A whole recorded run, as read back from run.sqlite.
@@ -128,9 +143,11 @@ struct RunRecord {
   std::map<std::string, std::string> meta;
   std::vector<Channel> channels;
   std::map<int32_t, SampleSeries> series;  ///< by channel id; only channels that have samples
-  std::vector<Trial> trials;               ///< by begin_ns
-  std::vector<FrameRecord> frames;         ///< by submit_ns
-  std::vector<Event> events;               ///< by t_ns
+  std::map<int32_t, std::vector<WideRead>> wide_reads;  ///< by channel id
+  std::vector<Trial> trials;                            ///< by begin_ns
+  std::vector<FrameRecord> frames;                      ///< by submit_ns
+  std::vector<SelfCheckFrame> self_check;               ///< by begin_ns
+  std::vector<Event> events;                            ///< by t_ns
 };
 
 std::string_view to_string(Phase phase);

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <condition_variable>
+#include <map>
 #include <mutex>
 #include <set>
 #include <stdexcept>
@@ -37,6 +38,12 @@ CREATE TABLE frames(id INTEGER PRIMARY KEY, trial_id INTEGER, frame INTEGER, pha
     loop_step_count INTEGER, simd_efficiency REAL);
 CREATE TABLE events(t_ns INTEGER, end_ns INTEGER, severity TEXT, kind TEXT, channel_id INTEGER,
     text TEXT);
+CREATE TABLE channel_traits(channel_id INTEGER PRIMARY KEY, limit_value INTEGER,
+    read_cost_p99_ns INTEGER, update_period_ns INTEGER, quantum INTEGER, wakes_device INTEGER,
+    gpu TEXT, stands_still INTEGER);
+CREATE TABLE read_widths(channel_id INTEGER, t_ns INTEGER, width_ns INTEGER);
+CREATE TABLE self_check_frames(block INTEGER, sampler_on INTEGER, begin_ns INTEGER,
+    end_ns INTEGER);
 )sql";
 
 /// What waits for the next transaction.
@@ -46,11 +53,12 @@ struct Batch {
   std::vector<Sample> samples;
   std::vector<Trial> trials;
   std::vector<FrameRecord> frames;
+  std::vector<SelfCheckFrame> self_check;
   std::vector<Event> events;
 
   [[nodiscard]] bool empty() const {
     return meta.empty() && channels.empty() && samples.empty() && trials.empty() &&
-           frames.empty() && events.empty();
+           frames.empty() && self_check.empty() && events.empty();
   }
 };
 
@@ -67,10 +75,13 @@ class Inserter {
   explicit Inserter(Database& db)
       : db_(db),
         meta_(db, "INSERT OR REPLACE INTO meta VALUES(?,?)"),
-        channel_(db, "INSERT OR REPLACE INTO channels VALUES(?,?,?,?,?,?,?,?,?,?)"),
+        channel_(db, "INSERT OR REPLACE INTO channels VALUES(" + parameters(10) + ")"),
+        traits_(db, "INSERT OR REPLACE INTO channel_traits VALUES(" + parameters(8) + ")"),
         sample_(db, "INSERT INTO samples VALUES(?,?,?)"),
+        width_(db, "INSERT INTO read_widths VALUES(?,?,?)"),
         trial_(db, "INSERT OR REPLACE INTO trials VALUES(" + parameters(26) + ")"),
         frame_(db, "INSERT INTO frames VALUES(" + parameters(17) + ")"),
+        self_check_(db, "INSERT INTO self_check_frames VALUES(?,?,?,?)"),
         event_(db, "INSERT INTO events VALUES(?,?,?,?,?,?)") {}
 
   /// All of `batch` in one transaction, or nothing of it.
@@ -80,10 +91,10 @@ class Inserter {
     try {
       for (const auto& [key, value] : batch.meta) meta_.bind(key).bind(value).run();
       for (const Channel& channel : batch.channels) insert(channel);
-      for (const Sample& sample : batch.samples)
-        sample_.bind(int64_t{sample.channel_id}).bind(sample.t_ns).bind(sample.value).run();
+      for (const Sample& sample : batch.samples) insert(sample);
       for (const Trial& trial : batch.trials) insert(trial);
       for (const FrameRecord& frame : batch.frames) insert(frame);
+      for (const SelfCheckFrame& frame : batch.self_check) insert(frame);
       for (const Event& event : batch.events) insert(event);
       db_.execute("COMMIT");
     } catch (...) {
@@ -106,6 +117,21 @@ class Inserter {
         .bind(channel.read_cost_ns)
         .bind_text_or_null(channel.origin)
         .run();
+    traits_.bind(int64_t{channel.id})
+        .bind(channel.limit)
+        .bind(channel.read_cost_p99_ns)
+        .bind(channel.update_period_ns)
+        .bind(channel.quantum)
+        .bind(int64_t{channel.wakes_device})
+        .bind_text_or_null(channel.gpu)
+        .bind(int64_t{channel.stands_still})
+        .run();
+  }
+
+  void insert(const Sample& sample) {
+    sample_.bind(int64_t{sample.channel_id}).bind(sample.t_ns).bind(sample.value).run();
+    if (sample.width_ns == 0) return;
+    width_.bind(int64_t{sample.channel_id}).bind(sample.t_ns).bind(int64_t{sample.width_ns}).run();
   }
 
   void insert(const Trial& trial) {
@@ -159,6 +185,14 @@ class Inserter {
         .run();
   }
 
+  void insert(const SelfCheckFrame& frame) {
+    self_check_.bind(frame.block)
+        .bind(int64_t{frame.sampler_on})
+        .bind(frame.begin_ns)
+        .bind(frame.end_ns)
+        .run();
+  }
+
   void insert(const Event& event) {
     event_.bind(event.t_ns)
         .bind(event.end_ns)
@@ -170,7 +204,7 @@ class Inserter {
   }
 
   Database& db_;
-  Statement meta_, channel_, sample_, trial_, frame_, event_;
+  Statement meta_, channel_, traits_, sample_, width_, trial_, frame_, self_check_, event_;
 };
 
 }  // namespace
@@ -317,6 +351,10 @@ void RunWriter::add_frame(FrameRecord frame) {
   impl_->append([&](Batch& b) { b.frames.push_back(std::move(frame)); });
 }
 
+void RunWriter::add_self_check_frame(const SelfCheckFrame& frame) {
+  impl_->append([&](Batch& b) { b.self_check.push_back(frame); });
+}
+
 void RunWriter::add_event(Event event) {
   impl_->append([&](Batch& b) { b.events.push_back(std::move(event)); });
 }
@@ -437,6 +475,34 @@ void read_channels(Database& db, RunRecord& run) {
   }
 }
 
+/// Whether a table that other tools and older versions do not write is there with these columns.
+bool has_table(Database& db, const std::string& table, const std::set<std::string>& columns) {
+  const std::set<std::string> present = columns_of(db, table);
+  return std::includes(present.begin(), present.end(), columns.begin(), columns.end());
+}
+
+void read_channel_traits(Database& db, RunRecord& run) {
+  if (!has_table(db, "channel_traits", {"channel_id"})) return;
+  std::map<int64_t, Channel*> channels;
+  for (Channel& channel : run.channels) channels.emplace(channel.id, &channel);
+  Statement s(db, select(db, "channel_traits", {"channel_id"},
+                         {"limit_value", "read_cost_p99_ns", "update_period_ns", "quantum",
+                          "wakes_device", "gpu", "stands_still"},
+                         "channel_id"));
+  while (s.next()) {
+    const auto channel = channels.find(s.integer(0));
+    if (channel == channels.end()) continue;
+    Channel& c = *channel->second;
+    c.limit = s.optional_integer(1);
+    c.read_cost_p99_ns = s.optional_integer(2);
+    c.update_period_ns = s.optional_integer(3);
+    c.quantum = s.optional_integer(4);
+    c.wakes_device = s.optional_integer(5).value_or(0) != 0;
+    c.gpu = s.text(6);
+    c.stands_still = s.optional_integer(7).value_or(0) != 0;
+  }
+}
+
 void read_samples(Database& db, RunRecord& run) {
   Statement s(db, select(db, "samples", {"channel_id", "t_ns", "value"}, {}, "channel_id, t_ns"));
   while (s.next()) {
@@ -445,6 +511,14 @@ void read_samples(Database& db, RunRecord& run) {
     series.t_ns.push_back(s.integer(1));
     series.value.push_back(s.real(2));
   }
+}
+
+void read_wide_reads(Database& db, RunRecord& run) {
+  const std::vector<std::string> columns{"channel_id", "t_ns", "width_ns"};
+  if (!has_table(db, "read_widths", {columns.begin(), columns.end()})) return;
+  Statement s(db, select(db, "read_widths", columns, {}, "channel_id, t_ns"));
+  while (s.next())
+    run.wide_reads[static_cast<int32_t>(s.integer(0))].push_back({s.integer(1), s.integer(2)});
 }
 
 void read_trials(Database& db, RunRecord& run) {
@@ -518,6 +592,14 @@ void read_frames(Database& db, RunRecord& run) {
   }
 }
 
+void read_self_check(Database& db, RunRecord& run) {
+  const std::vector<std::string> columns{"block", "sampler_on", "begin_ns", "end_ns"};
+  if (!has_table(db, "self_check_frames", {columns.begin(), columns.end()})) return;
+  Statement s(db, select(db, "self_check_frames", columns, {}, "begin_ns"));
+  while (s.next())
+    run.self_check.push_back({s.integer(0), s.integer(1) != 0, s.integer(2), s.integer(3)});
+}
+
 void read_events(Database& db, RunRecord& run) {
   Statement s(db, select(db, "events", {"t_ns", "end_ns", "severity", "kind", "channel_id", "text"},
                          {}, "t_ns"));
@@ -552,9 +634,12 @@ RunRecord read_run(const std::filesystem::path& run) {
     RunRecord record;
     read_meta(db, record);
     read_channels(db, record);
+    read_channel_traits(db, record);
     read_samples(db, record);
+    read_wide_reads(db, record);
     read_trials(db, record);
     read_frames(db, record);
+    read_self_check(db, record);
     read_events(db, record);
     return record;
   } catch (const std::runtime_error& error) {

@@ -47,6 +47,7 @@ class RunWriter {
   /// Inserts the trial, or replaces the one of the same id.
   void put_trial(Trial trial);
   void add_frame(FrameRecord frame);
+  void add_self_check_frame(const SelfCheckFrame& frame);
   void add_event(Event event);
 
   /// Blocks until everything added before is committed (or the writer has failed).

@@ -142,6 +142,52 @@ TEST_F(RunDb, WhatGoesInComesOut) {
   EXPECT_EQ(run.events[0].severity, Severity::warning);
 }
 
+TEST_F(RunDb, WhatIsKnownOfChannelsAndReadsComesOut) {
+  Channel known = example_channel();
+  known.limit = 35'000'000;
+  known.read_cost_p99_ns = 1'900;
+  known.update_period_ns = 976'000;
+  known.quantum = 61;
+  known.wakes_device = true;
+  known.gpu = "0000:00:02.0";
+  known.stands_still = true;
+  Channel unknown = example_channel();
+  unknown.id = 2;
+  unknown.name = "rapl.core.energy";
+  {
+    RunWriter writer(file());
+    writer.add_channel(known);
+    writer.add_channel(unknown);
+    const Sample samples[] = {{1, 100, 7, 0}, {1, 200, 8, 60'000}, {2, 150, 9, 70'000}};
+    writer.add_samples(samples);
+    writer.add_self_check_frame({3, false, 40, 50});
+    writer.add_self_check_frame({2, true, 20, 30});
+    writer.close();
+  }
+  const RunRecord run = read_run(dir_);
+  ASSERT_EQ(run.channels.size(), 2u);
+  EXPECT_EQ(run.channels[0].limit, 35'000'000);
+  EXPECT_EQ(run.channels[0].read_cost_ns, 700);
+  EXPECT_EQ(run.channels[0].read_cost_p99_ns, 1'900);
+  EXPECT_EQ(run.channels[0].update_period_ns, 976'000);
+  EXPECT_EQ(run.channels[0].quantum, 61);
+  EXPECT_TRUE(run.channels[0].wakes_device);
+  EXPECT_TRUE(run.channels[0].stands_still);
+  EXPECT_EQ(run.channels[0].gpu, "0000:00:02.0");
+  EXPECT_EQ(run.channels[1].limit, std::nullopt);
+  EXPECT_FALSE(run.channels[1].wakes_device);
+  EXPECT_EQ(run.channels[1].gpu, "");
+  ASSERT_EQ(run.wide_reads.at(1).size(), 1u);
+  EXPECT_EQ(run.wide_reads.at(1)[0].t_ns, 200);
+  EXPECT_EQ(run.wide_reads.at(1)[0].width_ns, 60'000);
+  EXPECT_EQ(run.wide_reads.at(2)[0].width_ns, 70'000);
+  ASSERT_EQ(run.self_check.size(), 2u);
+  EXPECT_EQ(run.self_check[0].block, 2);
+  EXPECT_TRUE(run.self_check[0].sampler_on);
+  EXPECT_EQ(run.self_check[1].begin_ns, 40);
+  EXPECT_FALSE(run.self_check[1].sampler_on);
+}
+
 TEST_F(RunDb, CarriesItsApplicationId) {
   RunWriter(file()).close();
   std::ifstream in(file(), std::ios::binary);
@@ -258,6 +304,21 @@ TEST_F(RunDb, ReadsARunOfAnotherTool) {
   EXPECT_EQ(run.series.at(4).value, std::vector<double>{300.5});
   EXPECT_EQ(run.trials.at(0).end_ns, std::nullopt);
   EXPECT_EQ(run.frames.at(0).ray_count, std::nullopt);
+}
+
+TEST_F(RunDb, TakesWhatAnotherToolKnowsOfChannels) {
+  execute(foreign_run);
+  execute(
+      "INSERT INTO channels VALUES(4,'x.temp','x','temperature','C','gauge',NULL,NULL,NULL,NULL);"
+      "CREATE TABLE channel_traits(channel_id INTEGER, limit_value INTEGER);"
+      "INSERT INTO channel_traits VALUES(4,100),(5,7);"
+      "CREATE TABLE read_widths(t_ns INTEGER);"
+      "CREATE TABLE self_check_frames(something_else);");
+  const RunRecord run = read_run(file());
+  EXPECT_EQ(run.channels.at(0).limit, 100);
+  EXPECT_EQ(run.channels.at(0).update_period_ns, std::nullopt);
+  EXPECT_TRUE(run.wide_reads.empty());
+  EXPECT_TRUE(run.self_check.empty());
 }
 
 TEST_F(RunDb, SaysWhatIsWrongWithAFile) {
