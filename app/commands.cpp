@@ -4,14 +4,13 @@
 
 #include <cstdio>
 #include <cstdlib>
-#include <ctime>
 #include <filesystem>
 
 #include "accel/models.h"
-#include "analysis/analyze.h"
 #include "analysis/write_reports.h"
 #include "app/config.h"
 #include "app/interrupt.h"
+#include "app/results.h"
 #include "app/study.h"
 #include "app/usage_error.h"
 #include "core/run_db.h"
@@ -20,56 +19,6 @@ namespace energyprof::app {
 namespace {
 
 namespace fs = std::filesystem;
-
-/// runs/<name>-20260131-120000, with a number behind it if that is taken.
-fs::path default_run_dir(const std::string& name) {
-  const std::time_t now = std::time(nullptr);
-  std::tm local{};
-  localtime_r(&now, &local);
-  char stamp[32];
-  std::strftime(stamp, sizeof stamp, "%Y%m%d-%H%M%S", &local);
-  const fs::path base = fs::path("runs") / fmt::format("{}-{}", name, stamp);
-  fs::path dir = base;
-  for (int i = 2; fs::exists(dir); ++i) dir = base.string() + fmt::format("-{}", i);
-  return dir;
-}
-
-std::string milliseconds(const std::optional<double>& value) {
-  return value ? fmt::format("{:.3f}", *value) : "-";
-}
-
-/// The result in a few lines: what stdout is for.
-void print_summary(const analysis::Analysis& result) {
-  if (!result.cells.empty())
-    fmt::print("{:<24} {:>4}  {:<16} {:>6} {:>11} {:>22} {:>11} {:>9}\n", "model", "view",
-               "algorithm", "frames", "median ms", "95 % interval ms", "stddev ms", "Mrays/s");
-  for (const analysis::Cell& cell : result.cells) {
-    const std::string interval = cell.median_interval_ms
-                                     ? fmt::format("{:.3f} to {:.3f}", cell.median_interval_ms->low,
-                                                   cell.median_interval_ms->high)
-                                     : "-";
-    fmt::print("{:<24} {:>4}  {:<16} {:>6} {:>11.3f} {:>22} {:>11} {:>9}\n", cell.model, cell.view,
-               cell.algorithm, cell.frame_ms.size(), cell.median_ms, interval,
-               milliseconds(cell.stddev_ms),
-               cell.mrays_per_s ? fmt::format("{:.2f}", *cell.mrays_per_s) : "-");
-  }
-  for (const analysis::RankingRow& row : result.ranking)
-    fmt::print("{}. {}: score {:.3f} ms (95 %: {:.3f} to {:.3f}), {:.3f} times the best\n",
-               row.rank, row.algorithm, row.score_ms, row.score_interval_ms.low,
-               row.score_interval_ms.high, row.normalized);
-  for (const analysis::Flag& flag : result.flags) fmt::print("{}: {}\n", flag.label, flag.text);
-}
-
-/// Reads the run back, as any later analysis would, and writes its reports.
-analysis::Analysis write_all_reports(const fs::path& dir, const fs::path& file) {
-  const RunRecord run = read_run(file);
-  analysis::Analysis result = analysis::analyze(run);
-  const std::vector<fs::path> written = analysis::write_reports(run, result, dir);
-  print_summary(result);
-  fmt::print("{}\n", file.string());
-  for (const fs::path& path : written) fmt::print("{}\n", path.string());
-  return result;
-}
 
 fs::path dir_of(const fs::path& run) {
   if (fs::is_directory(run)) return run;
@@ -91,12 +40,13 @@ int run_command(const RunOptions& options) {
   study.out = options.out.empty() ? default_run_dir(config.name) : fs::path(options.out);
   study.device = options.device;
   study.root = options.root;
+  study.allow_msr = options.allow_msr;
   study.quiet = options.quiet;
   study.validation = validation_wanted();
 
   const InterruptGuard interrupts;
   const StudyResult result = record_study(config, study);
-  write_all_reports(study.out, study.out / "run.sqlite");
+  write_all_reports(study.out, study.out / "run.sqlite", stdout);
   const fs::path images = study.out / "images";
   if (fs::is_directory(images) && !fs::is_empty(images)) fmt::print("{}/\n", images.string());
   if (result.interrupted) return exit_interrupted;
@@ -106,7 +56,7 @@ int run_command(const RunOptions& options) {
 }
 
 int analyze_command(const std::string& run) {
-  write_all_reports(dir_of(run), run_file(run));
+  write_all_reports(dir_of(run), run_file(run), stdout);
   return 0;
 }
 

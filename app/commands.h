@@ -12,12 +12,15 @@ struct RunOptions {
   std::vector<std::string> settings;
   std::string device = "auto";
   std::string root = "/";
+  bool allow_msr = false;
   bool quick = false;
   bool quiet = false;
 };
 
 struct ProbeOptions {
   std::string root = "/";
+  bool allow_msr = false;
+  bool all = false;  ///< every channel on a line of its own
   bool json = false;
 };
 

@@ -143,6 +143,9 @@ const json* schema_at(const json::json_pointer& pointer) {
     const json& array = alternative_with(*node, "items");
     if (object.contains("properties") && object.at("properties").contains(*key))
       node = &object.at("properties").at(*key);
+    else if (object.contains("additionalProperties") &&
+             object.at("additionalProperties").is_object())
+      node = &object.at("additionalProperties");
     else if (array.contains("items"))
       node = &array.at("items");
     else
@@ -314,6 +317,9 @@ Config interpret(json document, const std::string& file) {
   if (document.at("sampler").at("sources").is_array())
     c.sources = document.at("sampler").at("sources");
   c.required = document.at("sampler").value("require", std::vector<std::string>{});
+  for (const auto& [source, period_ms] : document.at("sampler").at("periods_ms").items())
+    c.sampler_periods_ns[source] = std::llround(period_ms.get<double>() * 1e6);
+  c.self_check = document.at("sampler").at("self_check");
   for (size_t i = 0; i < c.models.size(); ++i)
     if (!is_model_name(c.models[i]))
       throw UsageError(fmt::format(

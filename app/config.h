@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <glm/vec3.hpp>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
@@ -64,7 +65,10 @@ struct Config {
   bool structure_cache = true;  ///< keep built structures on disk
   CacheSettings cache_model;
   double sampler_rate_hz = 997.0;
-  std::vector<std::string> sources;   ///< empty: all
+  std::vector<std::string> sources;  ///< empty: all
+  /// Polling periods by source name, in place of the sources' own.
+  std::map<std::string, int64_t> sampler_periods_ns;
+  bool self_check = true;             ///< measure what sampling costs
   std::vector<std::string> required;  ///< quantities without which the run is refused
   nlohmann::json json;                ///< the whole config with its defaults, as recorded
 };

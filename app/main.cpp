@@ -9,6 +9,7 @@
 #include <new>
 
 #include "app/commands.h"
+#include "app/record.h"
 #include "app/usage_error.h"
 
 namespace energyprof::app {
@@ -35,6 +36,7 @@ class CommandLine {
     cli_.set_help_flag("-h,--help", "Print this help");
     add_run();
     add_probe();
+    add_record();
     add_analyze();
     add_export();
     add_models();
@@ -83,6 +85,7 @@ class CommandLine {
         ->type_name("NAME");
     cli_.add_option("--root", run_.root, "Read sensors below DIR instead of / (marked simulated)")
         ->type_name("DIR");
+    cli_.add_flag("--allow-msr", run_.allow_msr, "Read /dev/cpu/*/msr, too");
     cli_.add_flag("--quiet", run_.quiet, "No progress on stderr");
   }
 
@@ -92,8 +95,33 @@ class CommandLine {
     command->footer("Example: energyprof probe --json");
     command->add_option("--root", probe_.root, "Read sensors below DIR instead of /")
         ->type_name("DIR");
-    command->add_flag("--json", probe_.json, "The same as JSON");
+    command->add_flag("--allow-msr", probe_.allow_msr, "Read /dev/cpu/*/msr, too");
+    command->add_flag("--all", probe_.all, "Every core and CPU on a line of its own");
+    command->add_flag("--json", probe_.json, "All of it as JSON");
     command->callback([this] { action_ = [this] { return probe_command(probe_); }; });
+  }
+
+  void add_record() {
+    CLI::App* command = cli_.add_subcommand("record", "The sensors while any other program runs");
+    command->footer(
+        "Example: energyprof record --out runs/vkcube -- vkcube --c 600\n"
+        "  leaves run.sqlite, timeline.json and the reports, without frames, and the exit code of\n"
+        "  the program.");
+    command->add_option("--out", record_.out, "Run directory; must not hold a run yet")
+        ->type_name("DIR");
+    command->add_option("--rate", record_.rate_hz, "Sensor ticks per second, 1 to 10000")
+        ->type_name("HZ")
+        ->check(CLI::Range(1.0, 10'000.0));
+    command
+        ->add_option("--root", record_.root,
+                     "Read sensors below DIR instead of / (marked simulated)")
+        ->type_name("DIR");
+    command->add_flag("--allow-msr", record_.allow_msr, "Read /dev/cpu/*/msr, too");
+    command->add_flag("--quiet", record_.quiet, "Say nothing when the program has ended");
+    command->add_option("CMD", record_.command, "The program and its arguments, behind --")
+        ->required();
+    command->positionals_at_end();
+    command->callback([this] { action_ = [this] { return record_command(record_); }; });
   }
 
   void add_analyze() {
@@ -140,6 +168,7 @@ class CommandLine {
       "energyprof"};
   RunOptions run_;
   ProbeOptions probe_;
+  RecordOptions record_;
   std::string analyze_run_;
   ExportOptions export_;
   std::string model_;

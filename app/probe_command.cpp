@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cstdio>
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "app/commands.h"
@@ -63,18 +64,29 @@ json devices_json() {
   return devices;
 }
 
+json channel_json(const ProbedChannel& probed) {
+  const Channel& channel = *probed.channel;
+  json j{{"name", channel.name},
+         {"source", channel.source},
+         {"quantity", to_string(channel.quantity)},
+         {"unit", unit_info(channel.unit).name},
+         {"kind", to_string(channel.kind)},
+         {"value", or_null(probed.value)},
+         {"period_ns", channel.period_ns},
+         {"read_cost_ns", or_null(channel.read_cost_ns)},
+         {"read_cost_p99_ns", or_null(channel.read_cost_p99_ns)},
+         {"update_period_ns", or_null(channel.update_period_ns)},
+         {"quantum", or_null(channel.quantum)},
+         {"wakes_device", channel.wakes_device},
+         {"gpu", channel.gpu.empty() ? json(nullptr) : json(channel.gpu)},
+         {"origin", channel.origin}};
+  if (channel.limit) j["limit"] = *channel.limit;
+  return j;
+}
+
 void print_json(const probe::Discovery& discovery, const std::vector<ProbedChannel>& probed) {
   json channels = json::array();
-  for (const auto& [channel, value] : probed)
-    channels.push_back({{"name", channel->name},
-                        {"source", channel->source},
-                        {"quantity", to_string(channel->quantity)},
-                        {"unit", unit_info(channel->unit).name},
-                        {"kind", to_string(channel->kind)},
-                        {"value", or_null(value)},
-                        {"period_ns", channel->period_ns},
-                        {"read_cost_ns", or_null(channel->read_cost_ns)},
-                        {"origin", channel->origin}});
+  for (const ProbedChannel& channel : probed) channels.push_back(channel_json(channel));
   json missing = json::array();
   for (const probe::Missing& m : discovery.missing)
     missing.push_back({{"source", m.source},
@@ -88,20 +100,78 @@ void print_json(const probe::Discovery& discovery, const std::vector<ProbedChann
   fmt::print("{}\n", output.dump(2, ' ', false, json::error_handler_t::replace));
 }
 
-void print_text(const probe::Discovery& discovery, const std::vector<ProbedChannel>& probed) {
-  fmt::print("{:<13} {:<40} {:>16} {:<8} {:>9} {:>9}\n", "quantity", "channel", "now", "unit",
-             "every ms", "cost us");
-  for (const auto& [channel, value] : probed)
-    fmt::print("{:<13} {:<40} {:>16} {:<8} {:>9.1f} {:>9}\n", to_string(channel->quantity),
-               channel->name, value ? fmt::format("{}", *value) : "no value",
-               unit_info(channel->unit).name, static_cast<double>(channel->period_ns) * 1e-6,
-               channel->read_cost_ns
-                   ? fmt::format("{:.2f}", static_cast<double>(*channel->read_cost_ns) * 1e-3)
-                   : "-");
+/// A channel's name with every number replaced: channels of the same pattern differ only by core,
+/// CPU or zone.
+std::string pattern_of(const std::string& name) {
+  std::string pattern;
+  for (const char c : name) {
+    const bool is_digit = c >= '0' && c <= '9';
+    if (!is_digit)
+      pattern += c;
+    else if (!pattern.ends_with('#'))
+      pattern += '#';
+  }
+  return pattern;
+}
+
+/// Lines of the table: channels that differ only by numbers, and in nothing else that is shown.
+std::vector<std::vector<ProbedChannel>> fold(const std::vector<ProbedChannel>& probed, bool all) {
+  constexpr size_t fewest_folded = 4;
+  std::map<std::pair<Quantity, std::string>, std::vector<ProbedChannel>> groups;
+  for (const ProbedChannel& channel : probed)
+    groups[{channel.channel->quantity, pattern_of(channel.channel->name)}].push_back(channel);
+  std::vector<std::vector<ProbedChannel>> lines;
+  for (const ProbedChannel& channel : probed) {
+    auto& group = groups[{channel.channel->quantity, pattern_of(channel.channel->name)}];
+    if (all || group.size() < fewest_folded)
+      lines.push_back({channel});
+    else if (group.front().channel == channel.channel)
+      lines.push_back(group);
+  }
+  return lines;
+}
+
+std::string range_text(const std::vector<ProbedChannel>& line) {
+  std::optional<int64_t> low;
+  std::optional<int64_t> high;
+  for (const ProbedChannel& channel : line) {
+    if (!channel.value) continue;
+    low = std::min(low.value_or(*channel.value), *channel.value);
+    high = std::max(high.value_or(*channel.value), *channel.value);
+  }
+  if (!low) return "no value";
+  return *low == *high ? fmt::format("{}", *low) : fmt::format("{} .. {}", *low, *high);
+}
+
+void print_line(const std::vector<ProbedChannel>& line) {
+  const Channel& first = *line.front().channel;
+  const std::string name =
+      line.size() == 1 ? first.name
+                       : fmt::format("{} ({} of them)", pattern_of(first.name), line.size());
+  const auto microseconds = [](const std::optional<int64_t>& ns) {
+    return ns ? fmt::format("{:.2f}", static_cast<double>(*ns) * 1e-3) : std::string("-");
+  };
+  fmt::print("  {:<44} {:>22} {:<8} {:>12} {:>9.1f} {:>8}  {}\n", name, range_text(line),
+             unit_info(first.unit).name, first.limit ? fmt::format("{}", *first.limit) : "-",
+             static_cast<double>(first.period_ns) * 1e-6, microseconds(first.read_cost_ns),
+             line.size() == 1 ? first.origin : fmt::format("{} ...", first.origin));
+}
+
+void print_text(const probe::Discovery& discovery, const std::vector<ProbedChannel>& probed,
+                bool all) {
+  std::optional<Quantity> quantity;
+  for (const std::vector<ProbedChannel>& line : fold(probed, all)) {
+    const Quantity of_line = line.front().channel->quantity;
+    if (quantity != of_line)
+      fmt::print("{}{:<46} {:>22} {:<8} {:>12} {:>9} {:>8}  where\n", quantity ? "\n" : "",
+                 to_string(of_line), "now", "unit", "limit", "every ms", "cost us");
+    quantity = of_line;
+    print_line(line);
+  }
   if (!discovery.missing.empty()) fmt::print("\nnot seen\n");
   for (const probe::Missing& m : discovery.missing) {
-    fmt::print("  {:<12} {}\n", m.source, m.reason);
-    if (!m.fix.empty()) fmt::print("  {:<12} fix: {}\n", "", m.fix);
+    fmt::print("  {:<17} {}\n", m.source, m.reason);
+    if (!m.fix.empty()) fmt::print("  {:<17} fix: {}\n", "", m.fix);
   }
   fmt::print("\nVulkan devices\n");
   for (const json& device : devices_json()) {
@@ -119,13 +189,15 @@ void print_text(const probe::Discovery& discovery, const std::vector<ProbedChann
 
 int probe_command(const ProbeOptions& options) {
   const probe::Root root(options.root);
-  probe::Discovery discovery = probe::discover(root);
+  probe::Selection selection;
+  selection.allow_msr = options.allow_msr;
+  probe::Discovery discovery = probe::discover(root, selection);
   probe::characterize(discovery, root);
   const std::vector<ProbedChannel> probed = poll_once(discovery);
   if (options.json)
     print_json(discovery, probed);
   else
-    print_text(discovery, probed);
+    print_text(discovery, probed, options.all);
   return 0;
 }
 

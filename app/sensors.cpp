@@ -6,19 +6,30 @@
 #include <algorithm>
 
 #include "app/usage_error.h"
+#include "core/clock.h"
 #include "probe/characterize.h"
 
 namespace energyprof::app {
 namespace {
 
+// Reading the two clocks one after the other may take this long; a suspend takes longer.
+constexpr int64_t shortest_suspend_ns = 100 * ns_per_ms;
+
 /// The config's sources as a selection; a name that is no source is the config's fault.
-probe::Selection selection_of(const Config& config) {
+probe::Selection selection_of(const Config& config, bool allow_msr) {
   const std::vector<std::string> known = probe::source_names();
+  const auto check = [&](const std::string& place, const std::string& name) {
+    if (std::find(known.begin(), known.end(), name) == known.end())
+      throw UsageError(fmt::format("{}: /sampler/{}: '{}' is not a source; expected {}",
+                                   config.file, place, name, fmt::join(known, ", ")));
+  };
   for (size_t i = 0; i < config.sources.size(); ++i)
-    if (std::find(known.begin(), known.end(), config.sources[i]) == known.end())
-      throw UsageError(fmt::format("{}: /sampler/sources/{}: '{}' is not a source; expected {}",
-                                   config.file, i, config.sources[i], fmt::join(known, ", ")));
-  return {config.sources};
+    check(fmt::format("sources/{}", i), config.sources[i]);
+  for (const auto& [name, period_ns] : config.sampler_periods_ns) check("periods_ms", name);
+  probe::Selection selection;
+  selection.sources = config.sources;
+  selection.allow_msr = allow_msr;
+  return selection;
 }
 
 /// Refuses to run without what the config requires.
@@ -40,11 +51,32 @@ void check_required(const Config& config, const std::vector<Channel>& channels,
 
 }  // namespace
 
-Sensors::Sensors(const std::string& root, const Config& config)
-    : discovery_(probe::discover(probe::Root(root), selection_of(config))) {
+void SuspendWatch::look() {
+  timespec since_boot{};
+  clock_gettime(CLOCK_BOOTTIME, &since_boot);
+  const int64_t looked_ns = now_ns();
+  const int64_t asleep_ns = int64_t{since_boot.tv_sec} * ns_per_s + since_boot.tv_nsec - looked_ns;
+  const std::lock_guard lock(mutex_);
+  const int64_t slept_ns = asleep_ns - asleep_ns_.value_or(asleep_ns);
+  if (slept_ns > shortest_suspend_ns)
+    events_.push_back({looked_ns_, looked_ns, Severity::warning, "suspend", std::nullopt,
+                       fmt::format("the machine slept for {:.1f} s; counters may have started anew",
+                                   static_cast<double>(slept_ns) * 1e-9)});
+  asleep_ns_ = asleep_ns;
+  looked_ns_ = looked_ns;
+}
+
+std::vector<Event> SuspendWatch::take() {
+  const std::lock_guard lock(mutex_);
+  return std::exchange(events_, {});
+}
+
+Sensors::Sensors(const std::string& root, const Config& config, bool allow_msr)
+    : discovery_(probe::discover(probe::Root(root), selection_of(config, allow_msr))) {
   probe::characterize(discovery_, probe::Root(root));
   probe::Sampler::Config sampler_config;
   sampler_config.rate_hz = config.sampler_rate_hz;
+  sampler_config.periods_ns = config.sampler_periods_ns;
   sampler_ = std::make_unique<probe::Sampler>(discovery_.sources, sampler_config);
   channels_ = sampler_->channels();
   check_required(config, channels_, discovery_.missing);
@@ -61,10 +93,17 @@ std::string Sensors::verdict() const { return probe::verdict(discovery_); }
 
 void Sensors::start() { sampler_->start(); }
 void Sensors::stop() { sampler_->stop(); }
-void Sensors::drain(std::vector<Sample>& out) { sampler_->drain(out); }
+void Sensors::pause() { sampler_->pause(); }
+void Sensors::resume() { sampler_->resume(); }
+void Sensors::set_idle(bool idle) { sampler_->set_idle(idle); }
+
+void Sensors::drain(std::vector<Sample>& out) {
+  suspends_.look();
+  sampler_->drain(out);
+}
 
 std::vector<Event> Sensors::drain_events() {
-  std::vector<Event> events;
+  std::vector<Event> events = suspends_.take();
   sampler_->drain_events(events);
   return events;
 }
@@ -109,6 +148,7 @@ std::vector<std::pair<std::string, std::string>> Sensors::cost_meta() const {
       {"sampler_ticks", std::to_string(stats.tick_count)},
       {"sampler_missed_ticks", std::to_string(stats.missed_tick_count)},
       {"sampler_lost_samples", std::to_string(stats.lost_sample_count)},
+      {"sampler_threads", std::to_string(stats.thread_count)},
       {"sampler_scheduling", stats.scheduling}};
   if (stats.lateness_p50_ns)
     meta.emplace_back("sampler_lateness_p50_ns", std::to_string(*stats.lateness_p50_ns));

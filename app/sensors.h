@@ -2,6 +2,7 @@
 #pragma once
 
 #include <memory>
+#include <mutex>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <span>
@@ -16,11 +17,27 @@
 
 namespace energyprof::app {
 
+/// Notices that the machine slept: CLOCK_MONOTONIC, the time of everything recorded, stands still
+/// meanwhile, and counters may start anew.
+class SuspendWatch {
+ public:
+  /// Looks now.
+  void look();
+  /// The suspends noticed since the last call: events of kind "suspend".
+  std::vector<Event> take();
+
+ private:
+  std::mutex mutex_;
+  std::optional<int64_t> asleep_ns_;  // CLOCK_BOOTTIME - CLOCK_MONOTONIC, at the last look
+  int64_t looked_ns_ = 0;
+  std::vector<Event> events_;
+};
+
 class Sensors {
  public:
   /// Discovers the config's sources below `root`. Throws std::runtime_error when a quantity that
   /// the config requires cannot be sensed, UsageError for a source that does not exist.
-  Sensors(const std::string& root, const Config& config);
+  Sensors(const std::string& root, const Config& config, bool allow_msr);
 
   [[nodiscard]] const std::vector<Channel>& channels() const { return channels_; }
   /// [{source, reason, fix}]
@@ -29,7 +46,13 @@ class Sensors {
 
   void start();
   void stop();
-  /// Appends the samples since the last call. Called by the recorder's thread.
+  /// Polls once more, then nothing until resume(), which begins with a poll.
+  void pause();
+  void resume();
+  /// Whether the GPU is meant to idle: then nothing is read that would wake it.
+  void set_idle(bool idle);
+  /// Appends the samples since the last call. Called by the recorder's thread, often: between two
+  /// calls is where a suspend of the machine is placed.
   void drain(std::vector<Sample>& out);
   [[nodiscard]] std::vector<Event> drain_events();
 
@@ -46,6 +69,7 @@ class Sensors {
   probe::Discovery discovery_;
   std::vector<Channel> channels_;
   std::unique_ptr<probe::Sampler> sampler_;
+  SuspendWatch suspends_;
 };
 
 }  // namespace energyprof::app

@@ -66,7 +66,7 @@ class Study {
   Study(const Config& config, const StudyOptions& options)
       : config_(config),
         options_(options),
-        sensors_(options.root, config),
+        sensors_(options.root, config, options.allow_msr),
         structures_({config.structures, config.structure_cache,
                      [this](const std::string& why) { warn("cache", why); }}),
         pictures_(options.out / "images") {}

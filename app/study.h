@@ -13,6 +13,7 @@ struct StudyOptions {
   std::filesystem::path out;    ///< the run directory; must not hold a run yet
   std::string device = "auto";  ///< "auto" or part of a device's name
   std::string root = "/";       ///< where sysfs and procfs are read; not "/": simulated
+  bool allow_msr = false;       ///< read /dev/cpu/*/msr
   std::string quick_note;       ///< what --quick changed; empty: a full run
   bool quick = false;
   bool quiet = false;

@@ -1,0 +1,67 @@
+#include "app/results.h"
+
+#include <fmt/format.h>
+
+#include <ctime>
+#include <optional>
+
+#include "analysis/analyze.h"
+#include "analysis/write_reports.h"
+#include "core/run_db.h"
+
+namespace energyprof::app {
+
+namespace fs = std::filesystem;
+
+fs::path default_run_dir(const std::string& name) {
+  const std::time_t now = std::time(nullptr);
+  std::tm local{};
+  localtime_r(&now, &local);
+  char stamp[32];
+  std::strftime(stamp, sizeof stamp, "%Y%m%d-%H%M%S", &local);
+  const fs::path base = fs::path("runs") / fmt::format("{}-{}", name, stamp);
+  fs::path dir = base;
+  for (int i = 2; fs::exists(dir); ++i) dir = base.string() + fmt::format("-{}", i);
+  return dir;
+}
+
+namespace {
+
+std::string milliseconds(const std::optional<double>& value) {
+  return value ? fmt::format("{:.3f}", *value) : "-";
+}
+
+/// The result in a few lines: what stdout is for.
+void print_summary(const analysis::Analysis& result, std::FILE* to) {
+  if (!result.cells.empty())
+    fmt::print(to, "{:<24} {:>4}  {:<16} {:>6} {:>11} {:>22} {:>11} {:>9}\n", "model", "view",
+               "algorithm", "frames", "median ms", "95 % interval ms", "stddev ms", "Mrays/s");
+  for (const analysis::Cell& cell : result.cells) {
+    const std::string interval = cell.median_interval_ms
+                                     ? fmt::format("{:.3f} to {:.3f}", cell.median_interval_ms->low,
+                                                   cell.median_interval_ms->high)
+                                     : "-";
+    fmt::print(to, "{:<24} {:>4}  {:<16} {:>6} {:>11.3f} {:>22} {:>11} {:>9}\n", cell.model,
+               cell.view, cell.algorithm, cell.frame_ms.size(), cell.median_ms, interval,
+               milliseconds(cell.stddev_ms),
+               cell.mrays_per_s ? fmt::format("{:.2f}", *cell.mrays_per_s) : "-");
+  }
+  for (const analysis::RankingRow& row : result.ranking)
+    fmt::print(to, "{}. {}: score {:.3f} ms (95 %: {:.3f} to {:.3f}), {:.3f} times the best\n",
+               row.rank, row.algorithm, row.score_ms, row.score_interval_ms.low,
+               row.score_interval_ms.high, row.normalized);
+  for (const analysis::Flag& flag : result.flags) fmt::print(to, "{}: {}\n", flag.label, flag.text);
+}
+
+}  // namespace
+
+void write_all_reports(const fs::path& dir, const fs::path& file, std::FILE* to) {
+  const RunRecord run = read_run(file);
+  const analysis::Analysis result = analysis::analyze(run);
+  const std::vector<fs::path> written = analysis::write_reports(run, result, dir);
+  print_summary(result, to);
+  fmt::print(to, "{}\n", file.string());
+  for (const fs::path& path : written) fmt::print(to, "{}\n", path.string());
+}
+
+}  // namespace energyprof::app

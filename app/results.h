@@ -1,0 +1,18 @@
+/// Where a run goes, and what is written and said about it once it is recorded.
+#pragma once
+
+#include <cstdio>
+#include <filesystem>
+#include <string>
+
+namespace energyprof::app {
+
+/// runs/<name>-20260131-120000, with a number behind it if that is taken.
+std::filesystem::path default_run_dir(const std::string& name);
+
+/// Reads the run back from `file`, as any later analysis would, writes its reports to `dir`, and
+/// prints the result in a few lines and the paths of all files.
+void write_all_reports(const std::filesystem::path& dir, const std::filesystem::path& file,
+                       std::FILE* to);
+
+}  // namespace energyprof::app
