@@ -74,12 +74,23 @@ std::vector<Event> SuspendWatch::take() {
 Sensors::Sensors(const std::string& root, const Config& config, bool allow_msr)
     : discovery_(probe::discover(probe::Root(root), selection_of(config, allow_msr))) {
   probe::characterize(discovery_, probe::Root(root));
+  make_sampler(config);
+}
+
+void Sensors::make_sampler(const Config& config) {
   probe::Sampler::Config sampler_config;
   sampler_config.rate_hz = config.sampler_rate_hz;
   sampler_config.periods_ns = config.sampler_periods_ns;
   sampler_ = std::make_unique<probe::Sampler>(discovery_.sources, sampler_config);
   channels_ = sampler_->channels();
   check_required(config, channels_, discovery_.missing);
+}
+
+void Sensors::keep_gpu(const probe::TracingDevice& device, const probe::Root& root,
+                       const Config& config) {
+  sampler_.reset();  // it refers to the sources
+  probe::keep_gpu(discovery_, root, device);
+  make_sampler(config);
 }
 
 nlohmann::json Sensors::missing_json() const {

@@ -13,6 +13,7 @@
 #include "app/config.h"
 #include "core/record.h"
 #include "probe/discover.h"
+#include "probe/gpu_match.h"
 #include "probe/sampler.h"
 
 namespace energyprof::app {
@@ -44,6 +45,10 @@ class Sensors {
   [[nodiscard]] nlohmann::json missing_json() const;
   [[nodiscard]] std::string verdict() const;
 
+  /// Leaves out the sensors of GPUs that do not trace (probe::keep_gpu). Before start() and
+  /// channels(). Throws like the constructor if that leaves a required quantity without a sensor.
+  void keep_gpu(const probe::TracingDevice& device, const probe::Root& root, const Config& config);
+
   void start();
   void stop();
   /// Polls once more, then nothing until resume(), which begins with a poll.
@@ -64,6 +69,7 @@ class Sensors {
   [[nodiscard]] std::vector<std::pair<std::string, std::string>> cost_meta() const;
 
  private:
+  void make_sampler(const Config& config);
   [[nodiscard]] std::optional<double> latest_si(const Channel& channel) const;
 
   probe::Discovery discovery_;

@@ -76,6 +76,7 @@ class Study {
     try {
       load_scenes();
       open_device();
+      match_sensors();
       start_recording();
     } catch (...) {
       if (!writer_) remove_empty_run_dir();
@@ -134,6 +135,16 @@ class Study {
     device_ = std::make_unique<kernels::Device>(
         kernels::DeviceRequest{options_.device, options_.validation});
     caches_ = choose_caches(config_.cache_model, device_->info(), read_host_caches());
+  }
+
+  /// The sensors of another machine's files belong to none of this machine's devices: all stay.
+  void match_sensors() {
+    if (options_.root != "/") return;
+    const kernels::DeviceInfo& info = device_->info();
+    probe::TracingDevice device{info.name, info.type == "cpu", info.pci_address, {}};
+    for (const auto& node : {info.drm_primary, info.drm_render})
+      if (node) device.drm_nodes.emplace_back(node->major, node->minor);
+    sensors_.keep_gpu(device, probe::Root(options_.root), config_);
   }
 
   void start_recording() {
