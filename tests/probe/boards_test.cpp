@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <cerrno>
+#include <filesystem>
+#include <fstream>
 
 #include "tree.h"
 
@@ -66,11 +68,114 @@ TEST(Devfreq, TakesALowerMaximumForAClamp) {
 
 TEST(Devfreq, SaysWhenThereIsNoGpuAndWhenATableIsTooLong) {
   const Tree dmc{{"sys/class/devfreq/dmc/cur_freq", "1\n"}};
-  EXPECT_THAT(find(dmc.root(), "devfreq").missing, missing_because("only dmc"));
+  EXPECT_THAT(find(dmc.root(), "devfreq").missing, missing_because("dmc in"));
   const Tree tree{{mali + "cur_freq", "300000000\n"}, {mali + "trans_stat", "\n"}};
   const Discovery found = find(tree.root({{mali + "trans_stat", EFBIG}}), "devfreq");
   EXPECT_THAT(found.missing, missing_because("File too large"));
   EXPECT_THAT(names_of(found), ElementsAre("devfreq.fb000000_gpu.freq"));
+}
+
+TEST(Devfreq, ReadsTheJetsonWholly) {
+  const Discovery found = find(machine("jetson-orin-nano"), "devfreq");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["devfreq.17000000_gpu.target_freq"].value, 624'750'000);
+  EXPECT_EQ(readings["devfreq.17000000_gpu.throttle.clamp"].value, 0);
+  EXPECT_EQ(channel_called(found, "devfreq.17000000_gpu.load").unit, Unit::permille);
+  for (const std::string& name : names_of(found))
+    EXPECT_EQ(channel_called(found, name).gpu, "17000000.gpu") << name;
+}
+
+TEST(Devfreq, CallsNumberedEntriesByTheirDevice) {
+  const Tree tree{{"sys/class/devfreq/devfreq0/cur_freq", "1\n"},
+                  {"sys/class/devfreq/devfreq0/name", "ff9a0000.gpu\n"},
+                  {"sys/class/devfreq/devfreq1/cur_freq", "2\n"},
+                  {"sys/class/devfreq/devfreq1/name", "dmc\n"}};
+  const Discovery found = find(tree.root(), "devfreq");
+  EXPECT_THAT(names_of(found), ElementsAre("devfreq.ff9a0000_gpu.freq"));
+  EXPECT_THAT(found.missing, missing_because("dmc in"));
+}
+
+TEST(Devfreq, KnowsAGpuByItsDriverOrDeviceTree) {
+  const std::string entries = "sys/class/devfreq/";
+  const Tree tree{
+      {entries + "13000000.x/cur_freq", "1\n"},
+      {entries + "13000000.x/device/uevent", "MODALIAS=a\nDRIVER=panfrost\n"},
+      {entries + "14000000.y/cur_freq", "2\n"},
+      {entries + "14000000.y/device/uevent", "OF_NAME=g\nOF_COMPATIBLE_0=arm,mali-bifrost\n"},
+      {entries + "15000000.z/cur_freq", "3\n"},
+      {entries + "15000000.z/device/uevent", "OF_NAME=memory\nMODALIAS=gpu\n"},
+      {entries + "soc:qcom,gpubw/cur_freq", "4\n"},
+      {entries + "soc:qcom,kgsl-busmon/cur_freq", "5\n"}};
+  EXPECT_THAT(names_of(find(tree.root(), "devfreq")),
+              ElementsAre("devfreq.13000000_x.freq", "devfreq.14000000_y.freq"));
+}
+
+TEST(Devfreq, FindsTheLoadOfATegraGpuOnceWhereverItIs) {
+  const Tree tree{{"sys/devices/57000000.gpu/load", "123\n"},
+                  {"sys/devices/platform/bus@0/17000000.ga10b/load", "456\n"},
+                  {"sys/devices/platform/serial/load", "1\n"}};
+  tree.link("sys/devices/gpu.0", "57000000.gpu");
+  tree.link("sys/devices/platform/gpu.0", "../57000000.gpu");
+  const Discovery found = find(tree.root(), "devfreq");
+  EXPECT_THAT(names_of(found),
+              ElementsAre("devfreq.57000000_gpu.load", "devfreq.17000000_ga10b.load"));
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["devfreq.57000000_gpu.load"].value, 123);
+  EXPECT_EQ(readings["devfreq.17000000_ga10b.load"].value, 456);
+  EXPECT_EQ(channel_called(found, "devfreq.57000000_gpu.load").gpu, "57000000.gpu");
+  EXPECT_EQ(channel_called(found, "devfreq.57000000_gpu.load").unit, Unit::permille);
+}
+
+TEST(Devfreq, ReadsQualcommsOwnDriver) {
+  const std::string kgsl = "sys/class/kgsl/kgsl-3d0/";
+  const Tree tree{{kgsl + "gpuclk", "257000000\n"},
+                  {kgsl + "max_gpuclk", "710000000\n"},
+                  {kgsl + "gpu_busy_percentage", "22 %\n"},
+                  {kgsl + "temp", "41000\n"}};
+  const Discovery found = find(tree.root(), "devfreq");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["devfreq.kgsl-3d0.freq"].value, 257'000'000);
+  EXPECT_EQ(readings["devfreq.kgsl-3d0.load"].value, 22);
+  EXPECT_EQ(readings["devfreq.kgsl-3d0.temp"].value, 41'000);
+  EXPECT_EQ(channel_called(found, "devfreq.kgsl-3d0.freq").limit, 710'000'000);
+  EXPECT_EQ(channel_called(found, "devfreq.kgsl-3d0.load").unit, Unit::percent);
+  EXPECT_THAT(found.missing, IsEmpty());
+}
+
+TEST(Devfreq, FollowsATableWhoseRowsChange) {
+  const std::string head = "     From  :   To\n           : 100 200   time(ms)\n";
+  const Tree tree{{mali + "cur_freq", "100\n"},
+                  {mali + "trans_stat", head + "*  100: 0 1 50\n   200: 1 0 7\n"
+                                               "Total transition : 2\n"}};
+  const Discovery found = find(tree.root(), "devfreq");
+  tree.write({{mali + "trans_stat", head + "   100: 0 1 60\n*  300: 1 0 9\n"
+                                           "Total transition : 3\n"}});
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.time_at.100"].value, 60);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.time_at.200"].status, PollStatus::retry);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.transitions"].value, 3);
+  tree.write({{mali + "trans_stat", head + std::string(70'000, ' ') + "Total transition : 4\n"}});
+  EXPECT_EQ(poll_all(found)["devfreq.fb000000_gpu.transitions"].status, PollStatus::retry);
+  EXPECT_THAT(find(tree.root(), "devfreq").missing, missing_because("longer than a page"));
+  tree.write({{mali + "trans_stat", "Not Supported.\n"}});
+  EXPECT_THAT(names_of(find(tree.root(), "devfreq")), ElementsAre("devfreq.fb000000_gpu.freq"));
+}
+
+TEST(Devfreq, SaysThatAGpuTellsNothing) {
+  const Tree tree{{mali + "governor", "simple_ondemand\n"}};
+  EXPECT_THAT(find(tree.root(), "devfreq").missing,
+              ElementsAre(Field(&Missing::reason, HasSubstr("no clock to read"))));
+}
+
+TEST(Devfreq, KeepsALoadThatSleepsAndLosesOneThatVanishes) {
+  const Tree tree{{mali + "cur_freq", "1\n"}, {mali + "load", "7@1Hz\n"}};
+  const Discovery asleep = find(tree.root({{mali + "load", EAGAIN}}), "devfreq");
+  EXPECT_EQ(poll_all(asleep)["devfreq.fb000000_gpu.load"].status, PollStatus::retry);
+  const Discovery found = find(tree.root(), "devfreq");
+  tree.remove(mali + "load");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.load"].status, PollStatus::gone);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.freq"].status, PollStatus::ok);
 }
 
 TEST(V3d, ReadsTheBusyTimeOfItsQueues) {
@@ -188,6 +293,8 @@ TEST(Hwmon, KnowsLimitsAlarmsAndWhoseGpuAChipIs) {
   EXPECT_EQ(poll_all(jetson)["hwmon.ina3221.vdd_in.crit_alarm"].status, PollStatus::ok);
   for (const std::string& name : names_of(jetson)) EXPECT_THAT(name, Not(HasSubstr("shunt")));
 }
+
+const std::string rails = "sys/class/hwmon/hwmon1/";
 
 TEST(Hwmon, EndsInACycleOfLinks) {
   const Tree tree{{"sys/class/hwmon/hwmon0/name", "loop\n"},
