@@ -187,6 +187,37 @@ TEST(V3d, ReadsTheBusyTimeOfItsQueues) {
   EXPECT_EQ(channel_called(found, "v3d.render.busy").gpu, "fec00000.v3d");
 }
 
+TEST(V3d, FindsTheGpuByItsFileOrCardWhateverItIsCalled) {
+  const std::string stats = "queue\ttimestamp\tjobs\truntime\nrender\t9\t2\t77\n";
+  const Tree tree{{"sys/devices/platform/axi/1002000000.gpu/gpu_stats", stats},
+                  {"sys/class/drm/card0/device/uevent", "DRIVER=v3d\n"}};
+  tree.remove("sys/class/drm/card0/device");
+  tree.link("sys/class/drm/card0/device", "../../../devices/platform/axi/1002000000.gpu");
+  tree.write({{"sys/devices/platform/axi/1002000000.gpu/uevent", "DRIVER=v3d\n"}});
+  const Discovery found = find(tree.root(), "v3d");
+  EXPECT_THAT(names_of(found), ElementsAre("v3d.render.busy"));
+  EXPECT_EQ(poll_all(found)["v3d.render.busy"].value, 77);
+  EXPECT_EQ(channel_called(found, "v3d.render.busy").gpu, "1002000000.gpu");
+}
+
+TEST(V3d, TakesTheFourthColumnAndLeavesOutRowsWithoutIt) {
+  const std::string path = "sys/devices/platform/fec00000.v3d/gpu_stats";
+  const Tree tree{{path,
+                   "queue\ttimestamp\tjobs\truntime\textra\n"
+                   "bin\t9\t2\t77\t5\t\nrender\t9\t2\ncsd\t9\t2\tx\nnew one \t1\n\n"}};
+  const Discovery found = find(tree.root(), "v3d");
+  EXPECT_THAT(names_of(found), ElementsAre("v3d.bin.busy"));
+  EXPECT_EQ(poll_all(found)["v3d.bin.busy"].value, 77);
+  tree.write({{path, "queue\ttimestamp\tjobs\truntime\n"}});
+  EXPECT_EQ(poll_all(found)["v3d.bin.busy"].status, PollStatus::retry);
+  EXPECT_THAT(find(tree.root(), "v3d").missing, missing_because("lists no queue"));
+}
+
+TEST(V3d, SaysWhichKernelItNeeds) {
+  const Tree tree{{"sys/devices/platform/v3dbus/fec00000.v3d/uevent", "DRIVER=v3d\n"}};
+  EXPECT_THAT(find(tree.root(), "v3d").missing, missing_because("Linux 6.8"));
+}
+
 TEST(RaspberryPi, DecodesTheFirmwaresWord) {
   const Tree tree("rpi4-v3d-board");
   const Discovery found = find(tree.root(), "raspberrypi");
