@@ -256,6 +256,19 @@ TEST(RaspberryPi, AcceptsPrefixesAndRefusesOtherText) {
   EXPECT_THAT(find(tree.root(), "raspberrypi").missing, missing_because("no hexadecimal"));
 }
 
+TEST(RaspberryPi, SaysWhyItCannotReadAndWaitsForABusyFirmware) {
+  const std::string word = "sys/devices/platform/soc/soc:firmware/get_throttled";
+  const Tree tree{{word, " 0x50005\n"}};
+  const Discovery refused = find(tree.root({{word, EACCES}}), "raspberrypi");
+  EXPECT_THAT(refused.missing, missing_because("Permission denied"));
+  EXPECT_THAT(names_of(refused), IsEmpty());
+  const Discovery busy = find(tree.root({{word, EBUSY}}), "raspberrypi");
+  EXPECT_EQ(poll_all(busy)["rpi.throttle.throttled"].status, PollStatus::retry);
+  auto readings = poll_all(find(tree.root(), "raspberrypi"));
+  EXPECT_EQ(readings["rpi.throttle.throttled"].value, 1);
+  EXPECT_EQ(readings["rpi.throttle.freq_capped"].value, 0);
+}
+
 const std::string battery = "sys/class/power_supply/BAT1/";
 
 TEST(Battery, TellsItsPowerWhileItDischarges) {
