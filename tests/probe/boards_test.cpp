@@ -289,6 +289,41 @@ TEST(Battery, MultipliesCurrentAndVoltageWithoutSign) {
   EXPECT_THAT(find(tree.root(), "battery").missing, missing_because("is Charging"));
 }
 
+TEST(Battery, TellsTheEnergyThatIsLeftAsAGauge) {
+  const Discovery found = find(machine("intel-rplp-i915-laptop"), "battery");
+  EXPECT_EQ(poll_all(found)["battery.bat0.energy"].value, 49'450'000LL * 3600);
+  const Channel energy = channel_called(found, "battery.bat0.energy");
+  EXPECT_EQ(energy.kind, Kind::gauge);
+  EXPECT_EQ(energy.unit, Unit::microjoule);
+  EXPECT_EQ(energy.period_ns, 2'000'000'000);
+  EXPECT_THAT(verdict(found), HasSubstr("Cannot: energy"));
+}
+
+TEST(Battery, GivesNoValueForWhatNoIntegerHolds) {
+  const Tree tree{{battery + "type", "Battery\n"},
+                  {battery + "status", "Discharging\n"},
+                  {battery + "power_now", "-9223372036854775808\n"},
+                  {battery + "energy_now", "9223372036854775807\n"}};
+  auto readings = poll_all(find(tree.root(), "battery"));
+  EXPECT_EQ(readings["battery.bat1.power"].status, PollStatus::retry);
+  EXPECT_EQ(readings["battery.bat1.energy"].status, PollStatus::retry);
+  tree.remove(battery + "power_now");
+  tree.write({{battery + "current_now", "9223372036854775807\n"},
+              {battery + "voltage_now", "9223372036854775807\n"}});
+  EXPECT_EQ(poll_all(find(tree.root(), "battery"))["battery.bat1.power"].status, PollStatus::retry);
+}
+
+TEST(Battery, IsOfNoUseWhenItCannotBeToldWhetherItDischarges) {
+  const Tree tree{{battery + "type", "Battery\n"},
+                  {battery + "status", "Discharging\n"},
+                  {battery + "power_now", "1\n"}};
+  const Discovery refused = find(tree.root({{battery + "status", EACCES}}), "battery");
+  EXPECT_THAT(refused.missing, missing_because("Permission denied"));
+  EXPECT_THAT(names_of(refused), IsEmpty());
+  tree.remove(battery + "status");
+  EXPECT_THAT(find(tree.root(), "battery").missing, missing_because("No such file"));
+}
+
 TEST(Battery, IsNotThatOfAMouse) {
   const Tree tree{{battery + "type", "Battery\n"},
                   {battery + "scope", "Device\n"},
