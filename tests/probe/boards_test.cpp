@@ -375,6 +375,95 @@ TEST(Hwmon, KnowsLimitsAlarmsAndWhoseGpuAChipIs) {
 
 const std::string rails = "sys/class/hwmon/hwmon1/";
 
+TEST(Hwmon, TakesNoSumOrShuntOfAnIna3221ForARail) {
+  const Tree tree{{rails + "name", "ina3221\n"},      {rails + "in1_label", "VDD_IN\n"},
+                  {rails + "in1_input", "5000\n"},    {rails + "curr1_input", "1000\n"},
+                  {rails + "in2_label", "NC\n"},      {rails + "in2_input", "5000\n"},
+                  {rails + "curr2_input", "2\n"},     {rails + "curr2_crit_alarm", "1\n"},
+                  {rails + "in3_enable", "0\n"},      {rails + "in3_input", "5000\n"},
+                  {rails + "curr3_input", "3\n"},     {rails + "curr3_max_alarm", "1\n"},
+                  {rails + "in4_input", "7\n"},       {rails + "curr4_input", "1000\n"},
+                  {rails + "curr4_crit_alarm", "1\n"}};
+  const Discovery found = find(tree.root(), "hwmon");
+  EXPECT_THAT(names_of(found),
+              ElementsAre("hwmon.ina3221.curr4.crit_alarm", "hwmon.ina3221.vdd_in.power"));
+  EXPECT_EQ(poll_all(found)["hwmon.ina3221.vdd_in.power"].value, 5'000'000);
+}
+
+TEST(Hwmon, TellsEqualBoardChipsApartByTheirAddress) {
+  const std::string bus = "sys/bus/i2c/drivers/ina3221/";
+  const Tree tree{{bus + "1-0040/hwmon/hwmon1/name", "ina3221\n"},
+                  {bus + "1-0040/hwmon/hwmon1/in1_input", "2\n"},
+                  {bus + "1-0040/hwmon/hwmon1/curr1_input", "3\n"},
+                  {bus + "1-0041/hwmon/hwmon2/name", "ina3221\n"},
+                  {bus + "1-0041/hwmon/hwmon2/in1_input", "4\n"},
+                  {bus + "1-0041/hwmon/hwmon2/curr1_input", "5\n"}};
+  tree.link("sys/class/hwmon/hwmon1", "../../bus/i2c/drivers/ina3221/1-0040/hwmon/hwmon1");
+  tree.link("sys/class/hwmon/hwmon2", "../../bus/i2c/drivers/ina3221/1-0041/hwmon/hwmon2");
+  const Discovery found = find(tree.root(), "hwmon");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["hwmon.ina3221@1-0040.in1.power"].value, 6);
+  EXPECT_EQ(readings["hwmon.ina3221@1-0041.in1.power"].value, 20);
+  for (const auto& source : found.sources) EXPECT_TRUE(source->traits().slow);
+}
+
+TEST(Hwmon, ReadsTheRailsOfOldJetPacks) {
+  const std::string chip = "sys/bus/i2c/drivers/ina3221x/1-0040/iio:device0/";
+  const Tree tree{{chip + "rail_name_0", "POM_5V_IN\n"},  {chip + "in_power0_input", "2314\n"},
+                  {chip + "in_voltage0_input", "5048\n"}, {chip + "rail_name_1", "POM_5V_GPU\n"},
+                  {chip + "in_power1_input", "120\n"},    {chip + "rail_name_2", "NC\n"},
+                  {chip + "in_power2_input", "0\n"}};
+  const Discovery found = find(tree.root(), "hwmon");
+  auto readings = poll_all(found);
+  EXPECT_THAT(readings, SizeIs(2));
+  EXPECT_EQ(readings["hwmon.ina3221x.pom_5v_in.power"].value, 2314);
+  EXPECT_EQ(readings["hwmon.ina3221x.pom_5v_gpu.power"].value, 120);
+  EXPECT_EQ(channel_called(found, "hwmon.ina3221x.pom_5v_in.power").unit, Unit::milliwatt);
+  EXPECT_THAT(found.missing, IsEmpty());
+  const std::string second = "sys/bus/i2c/drivers/ina3221x/1-0041/iio:device1/";
+  tree.write({{second + "rail_name_0", "POM_5V_IN\n"}, {second + "in_power0_input", "9\n"}});
+  EXPECT_EQ(poll_all(find(tree.root(), "hwmon"))["hwmon.ina3221x@1-0041.pom_5v_in.power"].value, 9);
+}
+
+TEST(Hwmon, LimitsPowerByWhatIsEnforcedAndNotByThePeak) {
+  const std::string chip = "sys/class/hwmon/hwmon0/";
+  const Tree tree{{chip + "name", "i915\n"},
+                  {chip + "device/uevent", "PCI_SLOT_NAME=0000:03:00.0\n"},
+                  {chip + "power1_input", "30000000\n"},
+                  {chip + "power1_max", "190000000\n"},
+                  {chip + "power1_crit", "300000000\n"},
+                  {chip + "energy1_input", "0\n"}};
+  const Discovery found = find(tree.root(), "hwmon");
+  EXPECT_EQ(channel_called(found, "hwmon.i915.power1.power").limit, 190'000'000);
+  EXPECT_EQ(poll_all(found)["hwmon.i915.power1.power_limit"].value, 190'000'000);
+  EXPECT_EQ(channel_called(found, "hwmon.i915.power1.power_limit").quantity, Quantity::limit);
+  EXPECT_EQ(channel_called(found, "hwmon.i915.energy1.energy").kind, Kind::cumulative);
+  for (const auto& source : found.sources) {
+    EXPECT_TRUE(source->traits().slow);
+    EXPECT_EQ(source->traits().gpu, "0000:03:00.0");
+  }
+}
+
+TEST(Hwmon, CallsTheEnergyOfAnArcByItsLabel) {
+  const Discovery found = find(machine("intel-a380-xe-dgpu"), "hwmon");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["hwmon.xe.pkg.power_limit"].value, 55'000'000);
+  EXPECT_EQ(readings["hwmon.xe.pkg.temp"].value, 56'000);
+  EXPECT_EQ(readings["hwmon.xe.vram.temp"].value, 54'000);
+  EXPECT_EQ(channel_called(found, "hwmon.xe.pkg.energy").kind, Kind::cumulative);
+  EXPECT_THAT(names_of(found), SizeIs(4));
+}
+
+TEST(Hwmon, LeavesOutWhatIsSwitchedOff) {
+  const std::string chip = "sys/class/hwmon/hwmon0/";
+  const Tree tree{{chip + "name", "nct7802\n"},       {chip + "temp1_input", "30000\n"},
+                  {chip + "temp2_input", "-61000\n"}, {chip + "temp2_enable", "0\n"},
+                  {chip + "temp2_crit_alarm", "1\n"}, {chip + "temp3_input", "-5000\n"}};
+  const Discovery found = find(tree.root(), "hwmon");
+  EXPECT_THAT(names_of(found), ElementsAre("hwmon.nct7802.temp1.temp", "hwmon.nct7802.temp3.temp"));
+  EXPECT_EQ(poll_all(found)["hwmon.nct7802.temp3.temp"].value, -5000);
+}
+
 TEST(Hwmon, EndsInACycleOfLinks) {
   const Tree tree{{"sys/class/hwmon/hwmon0/name", "loop\n"},
                   {"sys/class/hwmon/hwmon0/temp1_input", "30000\n"}};
@@ -402,6 +491,74 @@ TEST(Cpufreq, RecordsTheMaximumThatTheKernelAllows) {
   EXPECT_EQ(poll_all(found)["cpufreq.cpu0.max_freq"].status, PollStatus::ok);
   EXPECT_TRUE(channel_called(found, "cpufreq.cpu0.freq").limit.has_value());
 }
+
+TEST(Cpufreq, SeesAClampAndPassesOverPoliciesThatFail) {
+  const std::string policies = "sys/devices/system/cpu/cpufreq/";
+  const Tree tree{{policies + "policy0/scaling_cur_freq", "2000000\n"},
+                  {policies + "policy0/scaling_max_freq", "3000000\n"},
+                  {policies + "policy0/cpuinfo_max_freq", "3000000\n"},
+                  {policies + "policy1/scaling_cur_freq", "<unknown>\n"},
+                  {policies + "policy2/scaling_cur_freq", "1\n"},
+                  {policies + "policy3/scaling_cur_freq", "1\n"}};
+  const Discovery found = find(tree.root({{policies + "policy2/scaling_cur_freq", EIO},
+                                          {policies + "policy3/scaling_cur_freq", EBUSY}}),
+                               "cpufreq");
+  EXPECT_THAT(names_of(found),
+              ElementsAre("cpufreq.cpu0.freq", "cpufreq.cpu3.freq", "cpufreq.cpu0.max_freq"));
+  EXPECT_THAT(found.missing, missing_because("<unknown>"));
+  EXPECT_THAT(found.missing, missing_because("Input/output error"));
+  const Channel cap = channel_called(found, "cpufreq.cpu0.max_freq");
+  EXPECT_EQ(cap.limit, 3'000'000);
+  EXPECT_EQ(cap.period_ns, 1'000'000'000);
+  tree.write({{policies + "policy0/scaling_max_freq", "1200000\n"}});
+  EXPECT_EQ(poll_all(found)["cpufreq.cpu0.max_freq"].value, 1'200'000);
+}
+
+TEST(ProcStat, StepsBackWithTheKernelAndRefusesWhatNoIntegerHolds) {
+  const Tree tree{{"proc/stat", "cpu  10 0 10 50 5 1 1 8 0 0\n"}};
+  const Discovery found = find(tree.root(), "proc_stat");
+  EXPECT_EQ(poll_all(found)["proc.stat.steal"].value, 8);
+  tree.write({{"proc/stat", "cpu  10 0 10 50 4 1 1 6 0 0\n"}});
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["proc.stat.steal"].value, 6);
+  EXPECT_EQ(readings["proc.stat.busy"].value, 22);
+  tree.write({{"proc/stat", "cpu  9223372036854775807 0 1 50 4 1 1 6 0 0\n"}});
+  EXPECT_EQ(poll_all(found)["proc.stat.busy"].status, PollStatus::retry);
+}
+
+// Boards whose every file holds the same text.
+class Garbage : public testing::TestWithParam<std::string> {};
+
+TEST_P(Garbage, IsDiscoveredAndReadWithoutHarm) {
+  const std::string& text = GetParam();
+  const Selection boards{
+      .sources = {"hwmon", "cpufreq", "devfreq", "v3d", "raspberrypi", "battery"}};
+  for (const char* name : {"msm8916-adreno-board", "jetson-orin-nano", "rpi4-v3d-board"}) {
+    SCOPED_TRACE(name);
+    const Tree tree(name);
+    tree.write({{battery + "type", "Battery\n"},
+                {battery + "status", "Discharging\n"},
+                {battery + "current_now", "1\n"},
+                {battery + "voltage_now", "1\n"}});
+    const Discovery before = discover(tree.root(), boards);
+    for (const auto& entry : std::filesystem::recursive_directory_iterator(tree.path() + "/sys")) {
+      if (!entry.is_regular_file()) continue;
+      std::string line;
+      std::getline(std::ifstream(entry.path()) >> std::ws, line);
+      // A file that stands for a link stays one.
+      if (!line.starts_with("../")) std::ofstream(entry.path(), std::ios::binary) << text;
+    }
+    for (const auto& [channel, reading] : poll_all(before))
+      EXPECT_NE(reading.status, PollStatus::gone) << channel;
+    for (const auto& [channel, reading] : poll_all(discover(tree.root(), boards)))
+      EXPECT_NE(reading.status, PollStatus::gone) << channel;
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Texts, Garbage,
+                         testing::Values("", std::string(200'000, '9'),
+                                         std::string("\0\xff@=0x\t:\n*", 9),
+                                         "-9223372036854775808"));
 
 }  // namespace
 }  // namespace energyprof::probe
