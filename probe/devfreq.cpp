@@ -1,15 +1,23 @@
 // Expects:
 //
-//   sys/class/devfreq/1c00000.gpu/cur_freq  target_freq  max_freq     400000000
-//   sys/class/devfreq/1c00000.gpu/available_frequencies               19200000 400000000, in any
-//   order sys/class/devfreq/1c00000.gpu/load                                22@300000000Hz;
-//   Rockchip sys/class/devfreq/1c00000.gpu/device/load                         990, per mille;
-//   Tegra sys/class/devfreq/1c00000.gpu/trans_stat                          a row per clock:
+//   sys/class/devfreq/1c00000.gpu/{cur_freq,target_freq,max_freq}   400000000
+//   sys/class/devfreq/1c00000.gpu/available_frequencies             in any order
+//   sys/class/devfreq/1c00000.gpu/load                              22@300000000Hz (Rockchip)
+//   sys/class/devfreq/1c00000.gpu/trans_stat                        a row per clock:
 //        From  :   To
 //              :  19200000 400000000   time(ms)
 //      19200000:         0         2         0
 //   * 400000000:         2         0    925683
 //   Total transition : 4
+//
+// and on Tegra the load, per mille, at the GPU's device:
+//
+//   sys/class/devfreq/17000000.gpu/device/load, sys/devices/gpu.0/load,
+//   sys/devices/platform/{gpu.0,17000000.gpu}/load, sys/devices/platform/bus@0/17000000.gpu/load
+//
+// and with Qualcomm's own Adreno driver:
+//
+//   sys/class/kgsl/kgsl-3d0/{gpuclk,max_gpuclk,gpu_busy_percentage,temp}   Hz, Hz, "22 %", mC
 #include "probe/devfreq.h"
 
 #include <fmt/format.h>
@@ -19,6 +27,7 @@
 #include <array>
 #include <cerrno>
 #include <charconv>
+#include <set>
 #include <utility>
 
 #include "core/clock.h"
@@ -30,15 +39,20 @@ namespace energyprof::probe {
 namespace {
 
 constexpr std::string_view class_dir = "sys/class/devfreq";
+constexpr std::string_view kgsl_dir = "sys/class/kgsl";
 constexpr int64_t clock_period_ns = 20 * ns_per_ms;
 constexpr int64_t stat_period_ns = 100 * ns_per_ms;
+constexpr size_t largest_page_bytes = size_t{64} << 10;  // a sysfs file is one page at most
 
-bool is_gpu(std::string_view device) {
-  constexpr std::array<std::string_view, 10> marks{"gpu",   "mali",  "adreno", "kgsl",  "v3d",
-                                                   "ga10b", "gv11b", "gk20a",  "gp10b", "panthor"};
-  return std::any_of(marks.begin(), marks.end(), [&](std::string_view mark) {
-    return device.find(mark) != std::string_view::npos;
-  });
+// Whether a device's name, driver or compatible text is a GPU's. What throttles the memory for one
+// ("soc:qcom,gpubw", "soc:qcom,kgsl-busmon") is none.
+bool is_gpu(std::string_view text) {
+  constexpr std::array<std::string_view, 11> marks{
+      "gpu", "mali", "adreno", "kgsl", "v3d", "g3d", "ga10b", "gv11b", "gk20a", "panthor", "gp10b"};
+  constexpr std::array<std::string_view, 3> others{"bw", "busmon", "ddr"};
+  const auto has = [&](std::string_view mark) { return text.find(mark) != std::string_view::npos; };
+  return std::any_of(marks.begin(), marks.end(), has) &&
+         std::none_of(others.begin(), others.end(), has);
 }
 
 // The integer at the start of `text`, which loses it and the space before it.
@@ -107,7 +121,7 @@ class ClockSource final : public SensorSource {
   Files files_;
 };
 
-// "22@300000000Hz" or "990".
+// "22@300000000Hz", "22 %" or "990".
 class LoadSource final : public SensorSource {
  public:
   LoadSource(Channel channel, TextFile file, SourceTraits traits)
@@ -131,13 +145,13 @@ class TransSource final : public SensorSource {
               SourceTraits traits)
       : SensorSource("devfreq", stat_period_ns, std::move(channels), std::move(traits)),
         clocks_hz_(std::move(clocks_hz)),
-        file_(std::move(file)) {}
+        file_(std::move(file)),
+        buffer_(largest_page_bytes) {}
 
   void poll(std::span<Reading> out) noexcept override {
-    std::array<char, 8192> buffer;
-    const TextFile::Read read = file_.read(buffer);
+    const TextFile::Read read = file_.read(buffer_);
     for (Reading& reading : out) reading = read.reading(std::nullopt);
-    if (read.error != 0) return;
+    if (read.error != 0 || read.text.size() == buffer_.size()) return;  // a cut row would lie
     for (std::string_view text = read.text; !text.empty();) {
       std::string_view line = take_line(text);
       if (line.starts_with(total_key)) {
@@ -154,6 +168,7 @@ class TransSource final : public SensorSource {
  private:
   std::vector<int64_t> clocks_hz_;
   TextFile file_;
+  std::vector<char> buffer_;
 };
 
 Channel make_channel(std::string name, Quantity quantity, Unit unit, Kind kind,
@@ -201,30 +216,64 @@ void discover_clocks(const Root& root, const std::string& device, const std::str
         std::make_unique<ClockSource>(std::move(channels), std::move(files), traits));
 }
 
-void discover_load(const Root& root, const std::string& device, const std::string& prefix,
-                   const SourceTraits& traits, Discovery& discovery) {
-  struct Place {
-    std::string path;
-    Unit unit;
-  };
-  for (const Place& place :
-       {Place{device + "/load", Unit::percent}, Place{device + "/device/load", Unit::permille}}) {
-    const std::string text = root.read_line(place.path).value_or("");
-    std::string_view rest = text;
-    if (!take_int(rest)) continue;
-    TextFile file(root, place.path);
-    Channel channel =
-        make_channel(prefix + ".load", Quantity::utilization, place.unit, Kind::gauge, file.path());
-    discovery.sources.push_back(
-        std::make_unique<LoadSource>(std::move(channel), std::move(file), traits));
-    return;
+void add_load(const Root& root, const std::string& path, const std::string& prefix, Unit unit,
+              const SourceTraits& traits, Discovery& discovery) {
+  TextFile file(root, path);
+  Channel channel =
+      make_channel(prefix + ".load", Quantity::utilization, unit, Kind::gauge, file.path());
+  discovery.sources.push_back(
+      std::make_unique<LoadSource>(std::move(channel), std::move(file), traits));
+}
+
+// Whether `path` holds a load, or will: a GPU whose rail is off may say EAGAIN.
+bool has_load(const Root& root, const std::string& path) {
+  const Root::Text text = root.read(path);
+  std::string_view rest = text.text ? *text.text : std::string_view();
+  return is_transient(text.error) || take_int(rest).has_value();
+}
+
+// Returns the resolved path of a load that was found.
+std::string discover_load(const Root& root, const std::string& device, const std::string& prefix,
+                          const SourceTraits& traits, Discovery& discovery) {
+  const std::string own = device + "/load";
+  const std::string of_device = device + "/device/load";
+  if (has_load(root, own)) {
+    add_load(root, own, prefix, Unit::percent, traits, discovery);
+    return root.resolve(own).path;
   }
+  if (has_load(root, of_device)) {
+    add_load(root, of_device, prefix, Unit::permille, traits, discovery);
+    return root.resolve(of_device).path;
+  }
+  return {};
+}
+
+// Loads of Tegra GPUs whose devfreq device does not lead to them, or that have none. `known` are
+// resolved paths of loads that were found.
+void discover_tegra_loads(const Root& root, std::set<std::string> known, Discovery& discovery) {
+  for (const std::string parent :
+       {"sys/devices", "sys/devices/platform", "sys/devices/platform/bus@0"})
+    for (const std::string& entry : root.list(parent)) {
+      const std::string path = fmt::format("{}/{}/load", parent, entry);
+      const Root::Resolved resolved = root.resolve(path);
+      if (!is_gpu(entry) || resolved.error != 0 || !has_load(root, path) ||
+          !known.insert(resolved.path).second)
+        continue;
+      const std::string gpu = gpu_of_device(root, fmt::format("{}/{}", parent, entry));
+      add_load(root, path, "devfreq." + slug(gpu), Unit::permille, SourceTraits{.gpu = gpu},
+               discovery);
+    }
 }
 
 void discover_transitions(const Root& root, const std::string& device, const std::string& prefix,
                           const SourceTraits& traits, Discovery& discovery) {
   const std::string path = device + "/trans_stat";
   const Root::Text stat = root.read(path);
+  if (stat.text && stat.text->size() >= largest_page_bytes) {
+    discovery.missing.push_back(
+        {"devfreq", fmt::format("'{}' is longer than a page", root.display(path)), ""});
+    return;
+  }
   if (!stat.text) {
     // EFBIG: the table does not fit a page.
     if (stat.error != ENOENT)
@@ -254,31 +303,100 @@ void discover_transitions(const Root& root, const std::string& device, const std
       std::move(channels), std::move(clocks_hz), std::move(file), traits));
 }
 
+// Adreno GPUs of Qualcomm's own driver, which Android devices have.
+void discover_kgsl(const Root& root, Discovery& discovery) {
+  for (const std::string& entry : root.list(kgsl_dir)) {
+    const std::string device = fmt::format("{}/{}", kgsl_dir, entry);
+    const std::string prefix = "devfreq." + slug(entry);
+    std::string gpu = gpu_of_device(root, device + "/device");
+    const SourceTraits traits{.gpu = gpu.empty() ? entry : std::move(gpu)};
+    std::vector<FileChannel> clock;
+    std::vector<FileChannel> heat;
+    CheckedFile freq = check_int_file(root, device + "/gpuclk");
+    CheckedFile temp = check_int_file(root, device + "/temp");
+    if (freq.problem.empty()) {
+      clock.push_back(
+          {make_channel(prefix + ".freq", Quantity::frequency, Unit::hertz, Kind::gauge, {}),
+           std::move(freq.file)});
+      clock.back().channel.limit = check_int_file(root, device + "/max_gpuclk").value;
+    }
+    if (temp.problem.empty())
+      heat.push_back({make_channel(prefix + ".temp", Quantity::temperature, Unit::millicelsius,
+                                   Kind::gauge, {}),
+                      std::move(temp.file)});
+    add_file_source(discovery, "devfreq", clock_period_ns, std::move(clock), traits);
+    add_file_source(discovery, "devfreq", stat_period_ns, std::move(heat), traits);
+    const std::string load = device + "/gpu_busy_percentage";
+    if (has_load(root, load)) add_load(root, load, prefix, Unit::percent, traits, discovery);
+  }
+}
+
+// The name of a device of the class. Kernels 4.16 to 4.19 number the entries ("devfreq0").
+std::string device_name(const Root& root, const std::string& entry) {
+  constexpr std::string_view numbered = "devfreq";
+  if (!entry.starts_with(numbered) ||
+      entry.find_first_not_of("0123456789", numbered.size()) != std::string::npos)
+    return entry;
+  const std::string device = fmt::format("{}/{}", class_dir, entry);
+  if (auto name = root.read_line(device + "/name")) return *name;
+  const std::string parent = gpu_of_device(root, device + "/device");
+  return parent.empty() ? entry : parent;
+}
+
+// What driver and device tree call the device: "DRIVER=panfrost", "OF_COMPATIBLE_0=arm,mali-...".
+bool is_driven_as_gpu(const Root& root, const std::string& device) {
+  constexpr std::array<std::string_view, 6> drivers{"panfrost", "panthor", "lima",
+                                                    "nvgpu",    "msm",     "etnaviv"};
+  const std::string uevent = root.read(device + "/device/uevent").text.value_or("");
+  for (std::string_view text = uevent; !text.empty();) {
+    const std::string_view line = take_line(text);
+    if (line.starts_with("DRIVER=") &&
+        std::find(drivers.begin(), drivers.end(), line.substr(line.find('=') + 1)) != drivers.end())
+      return true;
+    if ((line.starts_with("OF_NAME=") || line.starts_with("OF_COMPATIBLE_")) &&
+        is_gpu(line.substr(line.find('='))))
+      return true;
+  }
+  return false;
+}
+
 }  // namespace
 
 void discover_devfreq(const Root& root, Discovery& discovery) {
   const size_t source_count = discovery.sources.size();
   std::vector<std::string> others;
+  bool found_gpu = false;
+  std::set<std::string> loads;
   for (const std::string& entry : root.list(class_dir)) {
-    if (!is_gpu(entry)) {
-      others.push_back(entry);
+    const std::string device = fmt::format("{}/{}", class_dir, entry);
+    const std::string name = device_name(root, entry);
+    if (!is_gpu(name) && !is_driven_as_gpu(root, device)) {
+      others.push_back(name);
       continue;
     }
-    const std::string device = fmt::format("{}/{}", class_dir, entry);
-    const std::string prefix = "devfreq." + slug(entry);
+    const size_t sources_before = discovery.sources.size();
+    const size_t missing_before = discovery.missing.size();
+    const std::string prefix = "devfreq." + slug(name);
     std::string gpu = gpu_of_device(root, device + "/device");
-    const SourceTraits traits{.gpu = gpu.empty() ? entry : std::move(gpu)};
+    const SourceTraits traits{.gpu = gpu.empty() ? name : std::move(gpu)};
     discover_clocks(root, device, prefix, traits, discovery);
-    discover_load(root, device, prefix, traits, discovery);
+    loads.insert(discover_load(root, device, prefix, traits, discovery));
     discover_transitions(root, device, prefix, traits, discovery);
+    if (discovery.sources.size() == sources_before && discovery.missing.size() == missing_before)
+      discovery.missing.push_back(
+          {"devfreq", fmt::format("'{}' has no clock to read", root.display(device)), ""});
+    found_gpu = true;
   }
-  if (discovery.sources.size() > source_count) return;
-  discovery.missing.push_back({"devfreq",
-                               others.empty()
-                                   ? fmt::format("no device in '{}'", root.display(class_dir))
-                                   : fmt::format("no GPU in '{}': only {}", root.display(class_dir),
-                                                 fmt::join(others, ", ")),
-                               ""});
+  discover_tegra_loads(root, std::move(loads), discovery);
+  discover_kgsl(root, discovery);
+  if (!others.empty())
+    discovery.missing.push_back({"devfreq",
+                                 fmt::format("{} in '{}': no GPU, not recorded",
+                                             fmt::join(others, ", "), root.display(class_dir)),
+                                 ""});
+  else if (discovery.sources.size() == source_count && !found_gpu)
+    discovery.missing.push_back(
+        {"devfreq", fmt::format("no device in '{}'", root.display(class_dir)), ""});
 }
 
 }  // namespace energyprof::probe

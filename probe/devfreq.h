@@ -10,9 +10,11 @@ namespace energyprof::probe {
 ///   .freq, .target_freq: Hz, limit the highest available. On some SoCs .freq repeats the target.
 ///   .max_freq: Hz, quantity limit; .throttle.clamp: flag, 1 while max_freq is below the highest
 ///     available clock, as a cooling device (or an administrator) makes it.
-///   .load: percent (Rockchip) or permille (Tegra).
+///   .load: percent (Rockchip, kgsl) or permille (Tegra).
 ///   .time_at.<Hz>: ms, .transitions: count; cumulative, from trans_stat.
-/// Other devices of the class (memory controllers) are none of its business.
+///   .temp: mC (kgsl).
+/// GPUs of Qualcomm's kgsl driver are called by their node: "devfreq.kgsl-3d0". Other devices of
+/// the class (memory controllers) are listed as missing.
 /// Kernel: Documentation/ABI/testing/sysfs-class-devfreq.
 void discover_devfreq(const Root& root, Discovery& discovery);
 

@@ -1,9 +1,19 @@
 // Expects:
 //
-//   sys/class/hwmon/hwmon5/name          coretemp
-//   sys/class/hwmon/hwmon5/device        link to the device: ../../../coretemp.0
-//   sys/class/hwmon/hwmon5/temp1_label   Package id 0
-//   sys/class/hwmon/hwmon5/temp1_input   28000
+//   sys/class/hwmon/hwmon5/name                     coretemp
+//   sys/class/hwmon/hwmon5/device                   link to the device: ../../../coretemp.0
+//   sys/class/hwmon/hwmon5/temp1_label              Package id 0
+//   sys/class/hwmon/hwmon5/temp1_input              28000
+//   sys/class/hwmon/hwmon5/temp1_{crit,crit_alarm}  100000, 0
+//
+// and of a board with supply rails
+//
+//   sys/class/hwmon/hwmon1/{name,in1_label}         ina3221, VDD_IN
+//   sys/class/hwmon/hwmon1/{in1_input,curr1_input}  4976, 1240
+//
+// or, as JetPack up to 4 has it,
+//
+//   sys/bus/i2c/drivers/ina3221x/1-0040/iio:device0/{rail_name_0,in_power0_input}  VDD_IN, 6170
 #include "probe/hwmon.h"
 
 #include <fmt/format.h>
@@ -24,6 +34,7 @@ namespace energyprof::probe {
 namespace {
 
 constexpr std::string_view class_dir = "sys/class/hwmon";
+constexpr std::string_view iio_rails_dir = "sys/bus/i2c/drivers/ina3221x";
 
 // What "<prefix><number>_<item>" means.
 struct Item {
@@ -42,61 +53,94 @@ constexpr std::array items{
     Item{"freq", "input", "freq", Quantity::frequency, Unit::hertz, Kind::gauge},
 };
 
-// Chips whose driver caches for about a second, or whose every read costs a firmware call, a disk
-// command or a bus transfer.
-constexpr std::array<std::string_view, 9> slow_chips{
-    "coretemp", "nvme", "drivetemp", "acpitz", "iwlwifi", "BAT", "dell_smm", "thinkpad", "spd5118"};
+// What a sensor should stay below: the first of these that is set. Of power, what is enforced in
+// the long run: crit is a peak that no average ever comes near.
+constexpr std::array<std::string_view, 3> temperature_limits{"crit", "max", "emergency"};
+constexpr std::array<std::string_view, 3> power_limits{"cap", "max", "crit"};
 
-bool is_slow(std::string_view chip) {
+// Chips whose every read costs a firmware call, a disk command or a transfer.
+constexpr std::array<std::string_view, 11> slow_chips{
+    "nvme",     "drivetemp", "acpitz",   "iwlwifi", "BAT", "dell_smm",
+    "thinkpad", "spd5118",   "applesmc", "scmi",    "scpi"};
+
+// Drivers of GPUs: what their chips say belongs to the GPU. A read may ask the GPU's firmware.
+constexpr std::array<std::string_view, 9> gpu_chips{
+    "amdgpu", "i915", "xe", "nouveau", "radeon", "panfrost", "panthor", "lima", "msm"};
+
+bool is_costly(std::string_view chip) {
   return std::any_of(slow_chips.begin(), slow_chips.end(),
                      [&](std::string_view name) { return chip.starts_with(name); });
 }
 
-int64_t period_of(std::string_view chip) { return is_slow(chip) ? ns_per_s : 100 * ns_per_ms; }
-
-// Drivers of GPUs: what their chips say belongs to the GPU.
-constexpr std::array<std::string_view, 8> gpu_chips{"amdgpu", "i915",     "xe",      "nouveau",
-                                                    "radeon", "panfrost", "panthor", "msm"};
+// coretemp answers from memory, anew once a second.
+int64_t period_of(std::string_view chip) {
+  return is_costly(chip) || chip == "coretemp" ? ns_per_s : 100 * ns_per_ms;
+}
 
 struct Chip {
   std::string path;
   std::string name;     // as the driver says
   std::string id;       // as in channel names
-  std::string device;   // last part of the device's path
+  std::string device;   // last part of the device's path: "coretemp.0", "1-0040"
   SourceTraits traits;  // of its sources
 };
 
-// What a value of the sensor should stay below: the first of these items that is set.
-std::optional<int64_t> limit_of(const Root& root, const Chip& chip, const std::string& sensor) {
-  for (const char* item : {"crit", "max", "cap", "emergency"}) {
-    const auto limit = check_int_file(root, fmt::format("{}/{}_{}", chip.path, sensor, item)).value;
-    if (limit && *limit > 0) return limit;
+// Whether a device's name is an address on an I2C bus: "1-0040". A read is a transfer.
+bool is_i2c_address(std::string_view device) {
+  const size_t dash = device.find('-');
+  return dash != std::string_view::npos && dash > 0 && device.size() == dash + 5 &&
+         device.find_first_not_of("0123456789") == dash &&
+         device.find_first_not_of("0123456789abcdef", dash + 1) == std::string_view::npos;
+}
+
+// The last part of the path of the chip's device; its entry in the class if that is not known.
+std::string device_of(const Root& root, const std::string& chip, const std::string& entry) {
+  const Root::Resolved device = root.resolve(chip + "/device");
+  if (device.error == 0) return device.path.substr(device.path.rfind('/') + 1);
+  // Copies of sysfs may lack the link: <device>/hwmon/hwmon5 is where the chip lies.
+  std::string path = root.resolve(chip).path;
+  for (const std::string& below : {'/' + entry, std::string("/hwmon")}) {
+    if (!path.ends_with(below)) return entry;
+    path.resize(path.size() - below.size());
   }
-  return std::nullopt;
+  std::string name = path.substr(path.rfind('/') + 1);
+  return name == "class" ? entry : name;
 }
 
 std::vector<Chip> list_chips(const Root& root) {
   std::vector<Chip> chips;
   std::map<std::string, int> name_count;
   for (const std::string& entry : root.list(class_dir)) {
-    Chip chip{fmt::format("{}/{}", class_dir, entry), {}, {}, entry, {}};
+    Chip chip{fmt::format("{}/{}", class_dir, entry), {}, {}, {}, {}};
     std::optional<std::string> name = root.read_line(chip.path + "/name");
     if (!name) name = root.read_line(chip.path + "/device/name");
     if (!name) continue;
     chip.name = *name;
     chip.id = slug(*name);
-    const Root::Resolved device = root.resolve(chip.path + "/device");
-    if (device.error == 0) chip.device = device.path.substr(device.path.rfind('/') + 1);
-    // coretemp answers from memory, at most once a second anew; the others may block.
-    chip.traits.slow = is_slow(chip.name) && chip.name != "coretemp";
-    if (std::find(gpu_chips.begin(), gpu_chips.end(), chip.name) != gpu_chips.end())
-      chip.traits.gpu = gpu_of_device(root, chip.path + "/device");
+    chip.device = device_of(root, chip.path, entry);
+    const bool is_gpu = std::find(gpu_chips.begin(), gpu_chips.end(), *name) != gpu_chips.end();
+    if (is_gpu) chip.traits.gpu = gpu_of_device(root, chip.path + "/device");
+    chip.traits.slow = is_gpu || is_i2c_address(chip.device) || is_costly(*name);
     ++name_count[chip.id];
     chips.push_back(std::move(chip));
   }
   for (Chip& chip : chips)
     if (name_count[chip.id] > 1) chip.id += '@' + slug(chip.device);
   return chips;
+}
+
+template <size_t N>
+std::optional<int64_t> limit_of(const Root& root, const Chip& chip, const std::string& sensor,
+                                const std::array<std::string_view, N>& limit_items) {
+  for (const std::string_view item : limit_items) {
+    const auto limit = check_int_file(root, fmt::format("{}/{}_{}", chip.path, sensor, item)).value;
+    if (limit && *limit > 0) return limit;
+  }
+  return std::nullopt;
+}
+
+bool is_switched_off(const Root& root, const Chip& chip, const std::string& sensor) {
+  return root.read_line(fmt::format("{}/{}_enable", chip.path, sensor)) == "0";
 }
 
 // N of "<prefix>N_<item>".
@@ -114,6 +158,23 @@ std::optional<int> item_number(std::string_view file, std::string_view prefix,
 
 std::string label_of(const Root& root, const Chip& chip, const std::string& sensor) {
   return slug(root.read_line(fmt::format("{}/{}_label", chip.path, sensor)).value_or(sensor));
+}
+
+// The label of current N, which some drivers give to voltage N only; else `otherwise`.
+std::string current_label(const Root& root, const Chip& chip, int number, std::string otherwise) {
+  for (const char* prefix : {"curr", "in"})
+    if (const auto label = root.read_line(fmt::format("{}/{}{}_label", chip.path, prefix, number)))
+      return slug(*label);
+  return otherwise;
+}
+
+// Whether current N is no supply rail's: not connected, switched off, or one of ina3221's sums.
+// Its in4 .. in7 are voltages over the shunts of channels 1 to 3 and their sum; curr4 is a sum.
+bool is_no_rail(const Root& root, const Chip& chip, int number, const std::string& label) {
+  constexpr int ina3221_channels = 3;
+  return label == "nc" || (chip.name == "ina3221" && number > ina3221_channels) ||
+         is_switched_off(root, chip, fmt::format("in{}", number)) ||
+         is_switched_off(root, chip, fmt::format("curr{}", number));
 }
 
 // hwmon.<chip>.<label>.<suffix>, with the sensor's own name added where a chip repeats a label.
@@ -167,9 +228,8 @@ size_t discover_rails(const Root& root, const Chip& chip, const std::vector<std:
     const std::optional<int> number = item_number(file, "curr", "input");
     if (!number) continue;
     const std::string sensor = fmt::format("in{}", *number);
-    const std::string label = label_of(root, chip, sensor);
-    if (label == "nc" || root.read_line(fmt::format("{}/{}_enable", chip.path, sensor)) == "0")
-      continue;  // not connected, or switched off
+    const std::string label = current_label(root, chip, *number, sensor);
+    if (is_no_rail(root, chip, *number, label)) continue;
     CheckedFile voltage = check_int_file(root, fmt::format("{}/{}_input", chip.path, sensor));
     CheckedFile current = check_int_file(root, fmt::format("{}/{}", chip.path, file));
     const std::string& problem = voltage.problem.empty() ? current.problem : voltage.problem;
@@ -211,11 +271,15 @@ size_t discover_alarms(const Root& root, const Chip& chip, const std::vector<std
     for (const auto& [prefix, item] : alarms) {
       const std::optional<int> number = item_number(file, prefix, item);
       if (!number) continue;
-      // Currents carry the label of their voltage.
-      const std::string sensor =
-          fmt::format("{}{}", prefix == "curr" ? std::string_view("in") : prefix, *number);
-      const std::string label = label_of(root, chip, sensor);
-      if (label == "nc") continue;
+      const std::string sensor = fmt::format("{}{}", prefix, *number);
+      const bool is_current = prefix == "curr";
+      const std::string label =
+          is_current ? current_label(root, chip, *number, sensor) : label_of(root, chip, sensor);
+      if (is_switched_off(root, chip, sensor)) continue;
+      // A sum's alarm is an alarm; a rail's that is not there is none.
+      if (is_current &&
+          (label == "nc" || is_switched_off(root, chip, fmt::format("in{}", *number))))
+        continue;
       CheckedFile checked = check_int_file(root, fmt::format("{}/{}", chip.path, file));
       if (!checked.problem.empty()) {
         discovery.missing.push_back({"hwmon", checked.problem, ""});
@@ -233,6 +297,73 @@ size_t discover_alarms(const Root& root, const Chip& chip, const std::vector<std
   return count;
 }
 
+// The power that a GPU's firmware holds it to, which may be set and changed while it runs; the
+// power itself may be told as energy only. Returns how many were usable.
+size_t discover_power_limits(const Root& root, const Chip& chip,
+                             const std::vector<std::string>& files, std::set<std::string>& taken,
+                             Discovery& discovery) {
+  std::set<int> numbers;
+  for (const std::string& file : files)
+    for (const std::string_view item : power_limits)
+      if (const auto number = item_number(file, "power", item)) numbers.insert(*number);
+  std::vector<FileChannel> rows;
+  for (const int number : numbers) {
+    const std::string sensor = fmt::format("power{}", number);
+    for (const std::string_view item : power_limits) {
+      CheckedFile checked = check_int_file(root, fmt::format("{}/{}_{}", chip.path, sensor, item));
+      if (!checked.value || *checked.value <= 0) continue;
+      Channel channel;
+      channel.name = channel_name(chip, label_of(root, chip, sensor), sensor, "power_limit", taken);
+      channel.quantity = Quantity::limit;
+      channel.unit = Unit::microwatt;
+      rows.push_back({std::move(channel), std::move(checked.file)});
+      break;
+    }
+  }
+  const size_t count = rows.size();
+  add_file_source(discovery, "hwmon", ns_per_s, std::move(rows), chip.traits);
+  return count;
+}
+
+// Rails as JetPack up to 4 shows them. Returns how many were usable.
+size_t discover_iio_rails(const Root& root, Discovery& discovery) {
+  std::vector<std::string> chips;  // entries of the driver's directory: "1-0040"
+  for (const std::string& entry : root.list(iio_rails_dir))
+    if (is_i2c_address(entry)) chips.push_back(entry);
+  size_t rail_count = 0;
+  for (const std::string& entry : chips) {
+    const Chip chip{{}, "ina3221x", chips.size() > 1 ? "ina3221x@" + entry : "ina3221x", entry, {}};
+    std::set<std::string> taken;
+    std::vector<FileChannel> rows;
+    const std::string device = fmt::format("{}/{}", iio_rails_dir, entry);
+    for (const std::string& below : root.list(device)) {
+      if (!below.starts_with("iio:device")) continue;
+      const std::string iio = fmt::format("{}/{}", device, below);
+      for (const std::string& file : root.list(iio)) {
+        const std::optional<int> number = item_number(file, "in_power", "input");
+        if (!number) continue;
+        const std::string sensor = fmt::format("power{}", *number);
+        const std::string label =
+            slug(root.read_line(fmt::format("{}/rail_name_{}", iio, *number)).value_or(sensor));
+        if (label == "nc") continue;
+        CheckedFile checked = check_int_file(root, fmt::format("{}/{}", iio, file));
+        if (!checked.problem.empty()) {
+          discovery.missing.push_back({"hwmon", checked.problem, ""});
+          continue;
+        }
+        Channel channel;
+        channel.name = channel_name(chip, label, sensor, "power", taken);
+        channel.quantity = Quantity::power;
+        channel.unit = Unit::milliwatt;
+        rows.push_back({std::move(channel), std::move(checked.file)});
+      }
+    }
+    rail_count += rows.size();
+    add_file_source(discovery, "hwmon", period_of(chip.name), std::move(rows), {.slow = true});
+  }
+  return rail_count;
+}
+
 void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
   const std::vector<std::string> files = root.list(chip.path);
   const size_t missing_before = discovery.missing.size();
@@ -244,6 +375,7 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
       const std::optional<int> number = item_number(file, item.prefix, item.item);
       if (!number) continue;
       const std::string sensor = fmt::format("{}{}", item.prefix, *number);
+      if (is_switched_off(root, chip, sensor)) continue;
       CheckedFile checked = check_int_file(root, fmt::format("{}/{}", chip.path, file));
       if (!checked.problem.empty()) {
         discovery.missing.push_back({"hwmon", checked.problem, ""});
@@ -254,8 +386,10 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
       channel.quantity = item.quantity;
       channel.unit = item.unit;
       channel.kind = item.kind;
-      if (item.quantity == Quantity::temperature || item.quantity == Quantity::power)
-        channel.limit = limit_of(root, chip, sensor);
+      if (item.quantity == Quantity::temperature)
+        channel.limit = limit_of(root, chip, sensor, temperature_limits);
+      if (item.quantity == Quantity::power)
+        channel.limit = limit_of(root, chip, sensor, power_limits);
       has_power = has_power || item.quantity == Quantity::power;
       rows.push_back({std::move(channel), std::move(checked.file)});
     }
@@ -263,6 +397,8 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
   size_t channel_count = rows.size();
   add_file_source(discovery, "hwmon", period_of(chip.name), std::move(rows), chip.traits);
   channel_count += discover_alarms(root, chip, files, taken, discovery);
+  if (!chip.traits.gpu.empty())
+    channel_count += discover_power_limits(root, chip, files, taken, discovery);
   if (!has_power) channel_count += discover_rails(root, chip, files, taken, discovery);
   if (channel_count == 0 && discovery.missing.size() == missing_before)
     discovery.missing.push_back(
@@ -276,7 +412,8 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
 
 void discover_hwmon(const Root& root, Discovery& discovery) {
   const std::vector<Chip> chips = list_chips(root);
-  if (chips.empty())
+  const size_t iio_rail_count = discover_iio_rails(root, discovery);
+  if (chips.empty() && iio_rail_count == 0)
     discovery.missing.push_back(
         {"hwmon",
          fmt::format("no hardware monitoring chip in '{}'; usual in a virtual machine",

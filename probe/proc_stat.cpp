@@ -35,7 +35,10 @@ std::optional<CpuTicks> parse_cpu_line(std::string_view text) {
     at = stop;
   }
   const auto [user, nice, system, idle, iowait, irq, softirq, steal] = ticks;
-  return CpuTicks{user + nice + system + irq + softirq, steal};
+  CpuTicks result{0, steal};
+  for (const int64_t tick : {user, nice, system, irq, softirq})
+    if (__builtin_add_overflow(result.busy, tick, &result.busy)) return std::nullopt;
+  return result;
 }
 
 Channel tick_channel(std::string name, Quantity quantity, std::string origin) {

@@ -6,6 +6,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <charconv>
@@ -29,9 +30,10 @@ constexpr std::array bits{Bit{0, "undervoltage"}, Bit{1, "freq_capped"}, Bit{2, 
                           Bit{3, "soft_temp_limit"}};
 
 std::optional<int64_t> parse_word(std::string_view text) {
+  text = text.substr(0, text.find_last_not_of(" \t\r\n") + 1);
+  text.remove_prefix(std::min(text.find_first_not_of(" \t"), text.size()));
   for (const std::string_view prefix : {"throttled=", "0x"})
     if (text.starts_with(prefix)) text.remove_prefix(prefix.size());
-  text = text.substr(0, text.find_last_not_of(" \t\r\n") + 1);
   uint32_t word = 0;
   const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), word, 16);
   if (error != std::errc{} || stop != text.data() + text.size()) return std::nullopt;
@@ -109,18 +111,23 @@ std::optional<std::string> find_voltage_alarm(const Root& root) {
 }  // namespace
 
 void discover_raspberrypi(const Root& root, Discovery& discovery) {
-  if (const auto path = find_word(root)) {
-    if (parse_word(root.read_line(*path).value_or(""))) {
-      discovery.sources.push_back(std::make_unique<WordSource>(TextFile(root, *path)));
+  const std::optional<std::string> word_path = find_word(root);
+  if (word_path) {
+    const Root::Text text = root.read(*word_path);
+    if (is_transient(text.error) || (text.text && parse_word(*text.text))) {
+      discovery.sources.push_back(std::make_unique<WordSource>(TextFile(root, *word_path)));
       return;
     }
     discovery.missing.push_back(
-        {"raspberrypi", fmt::format("'{}' holds no hexadecimal number", root.display(*path)), ""});
+        {"raspberrypi",
+         text.text ? fmt::format("'{}' holds no hexadecimal number", root.display(*word_path))
+                   : fmt::format("cannot read '{}': {}", root.display(*word_path),
+                                 errno_text(text.error)),
+         ""});
   }
   const std::optional<std::string> alarm_path = find_voltage_alarm(root);
   if (!alarm_path) {
-    if (!find_word(root))
-      discovery.missing.push_back({"raspberrypi", "no Raspberry Pi firmware", ""});
+    if (!word_path) discovery.missing.push_back({"raspberrypi", "no Raspberry Pi firmware", ""});
     return;
   }
   CheckedFile alarm = check_int_file(root, *alarm_path);

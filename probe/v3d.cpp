@@ -9,6 +9,7 @@
 
 #include <algorithm>
 #include <array>
+#include <set>
 #include <utility>
 
 #include "core/clock.h"
@@ -22,17 +23,25 @@ namespace {
 constexpr std::string_view platform_dir = "sys/devices/platform";
 constexpr int64_t poll_period_ns = 20 * ns_per_ms;
 
-// Directories that may be the GPU's: on the platform bus or one level below it.
+// Directories that may be the GPU's: the devices of cards of this driver, then, since the driver
+// may have no card yet, those on the platform bus or one level below it which have the file or the
+// name. Each once.
 std::vector<std::string> list_devices(const Root& root) {
   std::vector<std::string> devices;
-  const auto add = [&](const std::string& parent) {
-    for (const std::string& entry : root.list(parent))
-      if (entry.find(".v3d") != std::string::npos)
-        devices.push_back(fmt::format("{}/{}", parent, entry));
+  std::set<std::string> known;
+  const auto add = [&](std::string device) {
+    if (known.insert(root.resolve(device).path).second) devices.push_back(std::move(device));
   };
-  add(std::string(platform_dir));
+  const auto add_children = [&](const std::string& parent) {
+    for (const std::string& entry : root.list(parent)) {
+      std::string device = fmt::format("{}/{}", parent, entry);
+      if (entry.ends_with(".v3d") || root.exists(device + "/gpu_stats")) add(std::move(device));
+    }
+  };
+  for (const NamedCard& named : drm_cards_of(root, "v3d")) add(named.card.path + "/device");
+  add_children(std::string(platform_dir));
   for (const std::string& entry : root.list(platform_dir))
-    add(fmt::format("{}/{}", platform_dir, entry));
+    add_children(fmt::format("{}/{}", platform_dir, entry));
   return devices;
 }
 
@@ -41,15 +50,18 @@ struct Row {
   std::optional<int64_t> runtime_ns;
 };
 
-// The next row of `text`, which loses it.
+// The next row of `text`, which loses it: queue, timestamp, jobs, runtime.
 Row take_row(std::string_view& text) {
-  const size_t end = std::min(text.find('\n'), text.size());
-  const std::string_view line = text.substr(0, end);
-  text.remove_prefix(std::min(end + 1, text.size()));
-  const size_t queue_end = line.find_first_of("\t ");
-  const size_t last = line.find_last_of("\t ");
-  if (queue_end == std::string_view::npos) return {};
-  return {line.substr(0, queue_end), parse_int(line.substr(last + 1))};
+  constexpr std::string_view gaps = "\t \r";
+  std::string_view line = text.substr(0, text.find('\n'));
+  text.remove_prefix(std::min(line.size() + 1, text.size()));
+  std::array<std::string_view, 4> fields;
+  for (std::string_view& field : fields) {
+    line.remove_prefix(std::min(line.find_first_not_of(gaps), line.size()));
+    field = line.substr(0, line.find_first_of(gaps));
+    line.remove_prefix(field.size());
+  }
+  return {fields[0], parse_int(fields[3])};
 }
 
 class StatsSource final : public SensorSource {

@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <cerrno>
+#include <filesystem>
+#include <fstream>
 
 #include "tree.h"
 
@@ -66,11 +68,114 @@ TEST(Devfreq, TakesALowerMaximumForAClamp) {
 
 TEST(Devfreq, SaysWhenThereIsNoGpuAndWhenATableIsTooLong) {
   const Tree dmc{{"sys/class/devfreq/dmc/cur_freq", "1\n"}};
-  EXPECT_THAT(find(dmc.root(), "devfreq").missing, missing_because("only dmc"));
+  EXPECT_THAT(find(dmc.root(), "devfreq").missing, missing_because("dmc in"));
   const Tree tree{{mali + "cur_freq", "300000000\n"}, {mali + "trans_stat", "\n"}};
   const Discovery found = find(tree.root({{mali + "trans_stat", EFBIG}}), "devfreq");
   EXPECT_THAT(found.missing, missing_because("File too large"));
   EXPECT_THAT(names_of(found), ElementsAre("devfreq.fb000000_gpu.freq"));
+}
+
+TEST(Devfreq, ReadsTheJetsonWholly) {
+  const Discovery found = find(machine("jetson-orin-nano"), "devfreq");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["devfreq.17000000_gpu.target_freq"].value, 624'750'000);
+  EXPECT_EQ(readings["devfreq.17000000_gpu.throttle.clamp"].value, 0);
+  EXPECT_EQ(channel_called(found, "devfreq.17000000_gpu.load").unit, Unit::permille);
+  for (const std::string& name : names_of(found))
+    EXPECT_EQ(channel_called(found, name).gpu, "17000000.gpu") << name;
+}
+
+TEST(Devfreq, CallsNumberedEntriesByTheirDevice) {
+  const Tree tree{{"sys/class/devfreq/devfreq0/cur_freq", "1\n"},
+                  {"sys/class/devfreq/devfreq0/name", "ff9a0000.gpu\n"},
+                  {"sys/class/devfreq/devfreq1/cur_freq", "2\n"},
+                  {"sys/class/devfreq/devfreq1/name", "dmc\n"}};
+  const Discovery found = find(tree.root(), "devfreq");
+  EXPECT_THAT(names_of(found), ElementsAre("devfreq.ff9a0000_gpu.freq"));
+  EXPECT_THAT(found.missing, missing_because("dmc in"));
+}
+
+TEST(Devfreq, KnowsAGpuByItsDriverOrDeviceTree) {
+  const std::string entries = "sys/class/devfreq/";
+  const Tree tree{
+      {entries + "13000000.x/cur_freq", "1\n"},
+      {entries + "13000000.x/device/uevent", "MODALIAS=a\nDRIVER=panfrost\n"},
+      {entries + "14000000.y/cur_freq", "2\n"},
+      {entries + "14000000.y/device/uevent", "OF_NAME=g\nOF_COMPATIBLE_0=arm,mali-bifrost\n"},
+      {entries + "15000000.z/cur_freq", "3\n"},
+      {entries + "15000000.z/device/uevent", "OF_NAME=memory\nMODALIAS=gpu\n"},
+      {entries + "soc:qcom,gpubw/cur_freq", "4\n"},
+      {entries + "soc:qcom,kgsl-busmon/cur_freq", "5\n"}};
+  EXPECT_THAT(names_of(find(tree.root(), "devfreq")),
+              ElementsAre("devfreq.13000000_x.freq", "devfreq.14000000_y.freq"));
+}
+
+TEST(Devfreq, FindsTheLoadOfATegraGpuOnceWhereverItIs) {
+  const Tree tree{{"sys/devices/57000000.gpu/load", "123\n"},
+                  {"sys/devices/platform/bus@0/17000000.ga10b/load", "456\n"},
+                  {"sys/devices/platform/serial/load", "1\n"}};
+  tree.link("sys/devices/gpu.0", "57000000.gpu");
+  tree.link("sys/devices/platform/gpu.0", "../57000000.gpu");
+  const Discovery found = find(tree.root(), "devfreq");
+  EXPECT_THAT(names_of(found),
+              ElementsAre("devfreq.57000000_gpu.load", "devfreq.17000000_ga10b.load"));
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["devfreq.57000000_gpu.load"].value, 123);
+  EXPECT_EQ(readings["devfreq.17000000_ga10b.load"].value, 456);
+  EXPECT_EQ(channel_called(found, "devfreq.57000000_gpu.load").gpu, "57000000.gpu");
+  EXPECT_EQ(channel_called(found, "devfreq.57000000_gpu.load").unit, Unit::permille);
+}
+
+TEST(Devfreq, ReadsQualcommsOwnDriver) {
+  const std::string kgsl = "sys/class/kgsl/kgsl-3d0/";
+  const Tree tree{{kgsl + "gpuclk", "257000000\n"},
+                  {kgsl + "max_gpuclk", "710000000\n"},
+                  {kgsl + "gpu_busy_percentage", "22 %\n"},
+                  {kgsl + "temp", "41000\n"}};
+  const Discovery found = find(tree.root(), "devfreq");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["devfreq.kgsl-3d0.freq"].value, 257'000'000);
+  EXPECT_EQ(readings["devfreq.kgsl-3d0.load"].value, 22);
+  EXPECT_EQ(readings["devfreq.kgsl-3d0.temp"].value, 41'000);
+  EXPECT_EQ(channel_called(found, "devfreq.kgsl-3d0.freq").limit, 710'000'000);
+  EXPECT_EQ(channel_called(found, "devfreq.kgsl-3d0.load").unit, Unit::percent);
+  EXPECT_THAT(found.missing, IsEmpty());
+}
+
+TEST(Devfreq, FollowsATableWhoseRowsChange) {
+  const std::string head = "     From  :   To\n           : 100 200   time(ms)\n";
+  const Tree tree{{mali + "cur_freq", "100\n"},
+                  {mali + "trans_stat", head + "*  100: 0 1 50\n   200: 1 0 7\n"
+                                               "Total transition : 2\n"}};
+  const Discovery found = find(tree.root(), "devfreq");
+  tree.write({{mali + "trans_stat", head + "   100: 0 1 60\n*  300: 1 0 9\n"
+                                           "Total transition : 3\n"}});
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.time_at.100"].value, 60);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.time_at.200"].status, PollStatus::retry);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.transitions"].value, 3);
+  tree.write({{mali + "trans_stat", head + std::string(70'000, ' ') + "Total transition : 4\n"}});
+  EXPECT_EQ(poll_all(found)["devfreq.fb000000_gpu.transitions"].status, PollStatus::retry);
+  EXPECT_THAT(find(tree.root(), "devfreq").missing, missing_because("longer than a page"));
+  tree.write({{mali + "trans_stat", "Not Supported.\n"}});
+  EXPECT_THAT(names_of(find(tree.root(), "devfreq")), ElementsAre("devfreq.fb000000_gpu.freq"));
+}
+
+TEST(Devfreq, SaysThatAGpuTellsNothing) {
+  const Tree tree{{mali + "governor", "simple_ondemand\n"}};
+  EXPECT_THAT(find(tree.root(), "devfreq").missing,
+              ElementsAre(Field(&Missing::reason, HasSubstr("no clock to read"))));
+}
+
+TEST(Devfreq, KeepsALoadThatSleepsAndLosesOneThatVanishes) {
+  const Tree tree{{mali + "cur_freq", "1\n"}, {mali + "load", "7@1Hz\n"}};
+  const Discovery asleep = find(tree.root({{mali + "load", EAGAIN}}), "devfreq");
+  EXPECT_EQ(poll_all(asleep)["devfreq.fb000000_gpu.load"].status, PollStatus::retry);
+  const Discovery found = find(tree.root(), "devfreq");
+  tree.remove(mali + "load");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.load"].status, PollStatus::gone);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.freq"].status, PollStatus::ok);
 }
 
 TEST(V3d, ReadsTheBusyTimeOfItsQueues) {
@@ -80,6 +185,37 @@ TEST(V3d, ReadsTheBusyTimeOfItsQueues) {
   EXPECT_EQ(readings["v3d.cache_clean.busy"].value, 237'375'940);
   EXPECT_THAT(names_of(found), SizeIs(5));
   EXPECT_EQ(channel_called(found, "v3d.render.busy").gpu, "fec00000.v3d");
+}
+
+TEST(V3d, FindsTheGpuByItsFileOrCardWhateverItIsCalled) {
+  const std::string stats = "queue\ttimestamp\tjobs\truntime\nrender\t9\t2\t77\n";
+  const Tree tree{{"sys/devices/platform/axi/1002000000.gpu/gpu_stats", stats},
+                  {"sys/class/drm/card0/device/uevent", "DRIVER=v3d\n"}};
+  tree.remove("sys/class/drm/card0/device");
+  tree.link("sys/class/drm/card0/device", "../../../devices/platform/axi/1002000000.gpu");
+  tree.write({{"sys/devices/platform/axi/1002000000.gpu/uevent", "DRIVER=v3d\n"}});
+  const Discovery found = find(tree.root(), "v3d");
+  EXPECT_THAT(names_of(found), ElementsAre("v3d.render.busy"));
+  EXPECT_EQ(poll_all(found)["v3d.render.busy"].value, 77);
+  EXPECT_EQ(channel_called(found, "v3d.render.busy").gpu, "1002000000.gpu");
+}
+
+TEST(V3d, TakesTheFourthColumnAndLeavesOutRowsWithoutIt) {
+  const std::string path = "sys/devices/platform/fec00000.v3d/gpu_stats";
+  const Tree tree{{path,
+                   "queue\ttimestamp\tjobs\truntime\textra\n"
+                   "bin\t9\t2\t77\t5\t\nrender\t9\t2\ncsd\t9\t2\tx\nnew one \t1\n\n"}};
+  const Discovery found = find(tree.root(), "v3d");
+  EXPECT_THAT(names_of(found), ElementsAre("v3d.bin.busy"));
+  EXPECT_EQ(poll_all(found)["v3d.bin.busy"].value, 77);
+  tree.write({{path, "queue\ttimestamp\tjobs\truntime\n"}});
+  EXPECT_EQ(poll_all(found)["v3d.bin.busy"].status, PollStatus::retry);
+  EXPECT_THAT(find(tree.root(), "v3d").missing, missing_because("lists no queue"));
+}
+
+TEST(V3d, SaysWhichKernelItNeeds) {
+  const Tree tree{{"sys/devices/platform/v3dbus/fec00000.v3d/uevent", "DRIVER=v3d\n"}};
+  EXPECT_THAT(find(tree.root(), "v3d").missing, missing_because("Linux 6.8"));
 }
 
 TEST(RaspberryPi, DecodesTheFirmwaresWord) {
@@ -120,6 +256,19 @@ TEST(RaspberryPi, AcceptsPrefixesAndRefusesOtherText) {
   EXPECT_THAT(find(tree.root(), "raspberrypi").missing, missing_because("no hexadecimal"));
 }
 
+TEST(RaspberryPi, SaysWhyItCannotReadAndWaitsForABusyFirmware) {
+  const std::string word = "sys/devices/platform/soc/soc:firmware/get_throttled";
+  const Tree tree{{word, " 0x50005\n"}};
+  const Discovery refused = find(tree.root({{word, EACCES}}), "raspberrypi");
+  EXPECT_THAT(refused.missing, missing_because("Permission denied"));
+  EXPECT_THAT(names_of(refused), IsEmpty());
+  const Discovery busy = find(tree.root({{word, EBUSY}}), "raspberrypi");
+  EXPECT_EQ(poll_all(busy)["rpi.throttle.throttled"].status, PollStatus::retry);
+  auto readings = poll_all(find(tree.root(), "raspberrypi"));
+  EXPECT_EQ(readings["rpi.throttle.throttled"].value, 1);
+  EXPECT_EQ(readings["rpi.throttle.freq_capped"].value, 0);
+}
+
 const std::string battery = "sys/class/power_supply/BAT1/";
 
 TEST(Battery, TellsItsPowerWhileItDischarges) {
@@ -138,6 +287,41 @@ TEST(Battery, MultipliesCurrentAndVoltageWithoutSign) {
   tree.write({{battery + "status", "Charging\n"}});
   EXPECT_EQ(poll_all(found)["battery.bat1.power"].status, PollStatus::retry);
   EXPECT_THAT(find(tree.root(), "battery").missing, missing_because("is Charging"));
+}
+
+TEST(Battery, TellsTheEnergyThatIsLeftAsAGauge) {
+  const Discovery found = find(machine("intel-rplp-i915-laptop"), "battery");
+  EXPECT_EQ(poll_all(found)["battery.bat0.energy"].value, 49'450'000LL * 3600);
+  const Channel energy = channel_called(found, "battery.bat0.energy");
+  EXPECT_EQ(energy.kind, Kind::gauge);
+  EXPECT_EQ(energy.unit, Unit::microjoule);
+  EXPECT_EQ(energy.period_ns, 2'000'000'000);
+  EXPECT_THAT(verdict(found), HasSubstr("Cannot: energy"));
+}
+
+TEST(Battery, GivesNoValueForWhatNoIntegerHolds) {
+  const Tree tree{{battery + "type", "Battery\n"},
+                  {battery + "status", "Discharging\n"},
+                  {battery + "power_now", "-9223372036854775808\n"},
+                  {battery + "energy_now", "9223372036854775807\n"}};
+  auto readings = poll_all(find(tree.root(), "battery"));
+  EXPECT_EQ(readings["battery.bat1.power"].status, PollStatus::retry);
+  EXPECT_EQ(readings["battery.bat1.energy"].status, PollStatus::retry);
+  tree.remove(battery + "power_now");
+  tree.write({{battery + "current_now", "9223372036854775807\n"},
+              {battery + "voltage_now", "9223372036854775807\n"}});
+  EXPECT_EQ(poll_all(find(tree.root(), "battery"))["battery.bat1.power"].status, PollStatus::retry);
+}
+
+TEST(Battery, IsOfNoUseWhenItCannotBeToldWhetherItDischarges) {
+  const Tree tree{{battery + "type", "Battery\n"},
+                  {battery + "status", "Discharging\n"},
+                  {battery + "power_now", "1\n"}};
+  const Discovery refused = find(tree.root({{battery + "status", EACCES}}), "battery");
+  EXPECT_THAT(refused.missing, missing_because("Permission denied"));
+  EXPECT_THAT(names_of(refused), IsEmpty());
+  tree.remove(battery + "status");
+  EXPECT_THAT(find(tree.root(), "battery").missing, missing_because("No such file"));
 }
 
 TEST(Battery, IsNotThatOfAMouse) {
@@ -189,6 +373,97 @@ TEST(Hwmon, KnowsLimitsAlarmsAndWhoseGpuAChipIs) {
   for (const std::string& name : names_of(jetson)) EXPECT_THAT(name, Not(HasSubstr("shunt")));
 }
 
+const std::string rails = "sys/class/hwmon/hwmon1/";
+
+TEST(Hwmon, TakesNoSumOrShuntOfAnIna3221ForARail) {
+  const Tree tree{{rails + "name", "ina3221\n"},      {rails + "in1_label", "VDD_IN\n"},
+                  {rails + "in1_input", "5000\n"},    {rails + "curr1_input", "1000\n"},
+                  {rails + "in2_label", "NC\n"},      {rails + "in2_input", "5000\n"},
+                  {rails + "curr2_input", "2\n"},     {rails + "curr2_crit_alarm", "1\n"},
+                  {rails + "in3_enable", "0\n"},      {rails + "in3_input", "5000\n"},
+                  {rails + "curr3_input", "3\n"},     {rails + "curr3_max_alarm", "1\n"},
+                  {rails + "in4_input", "7\n"},       {rails + "curr4_input", "1000\n"},
+                  {rails + "curr4_crit_alarm", "1\n"}};
+  const Discovery found = find(tree.root(), "hwmon");
+  EXPECT_THAT(names_of(found),
+              ElementsAre("hwmon.ina3221.curr4.crit_alarm", "hwmon.ina3221.vdd_in.power"));
+  EXPECT_EQ(poll_all(found)["hwmon.ina3221.vdd_in.power"].value, 5'000'000);
+}
+
+TEST(Hwmon, TellsEqualBoardChipsApartByTheirAddress) {
+  const std::string bus = "sys/bus/i2c/drivers/ina3221/";
+  const Tree tree{{bus + "1-0040/hwmon/hwmon1/name", "ina3221\n"},
+                  {bus + "1-0040/hwmon/hwmon1/in1_input", "2\n"},
+                  {bus + "1-0040/hwmon/hwmon1/curr1_input", "3\n"},
+                  {bus + "1-0041/hwmon/hwmon2/name", "ina3221\n"},
+                  {bus + "1-0041/hwmon/hwmon2/in1_input", "4\n"},
+                  {bus + "1-0041/hwmon/hwmon2/curr1_input", "5\n"}};
+  tree.link("sys/class/hwmon/hwmon1", "../../bus/i2c/drivers/ina3221/1-0040/hwmon/hwmon1");
+  tree.link("sys/class/hwmon/hwmon2", "../../bus/i2c/drivers/ina3221/1-0041/hwmon/hwmon2");
+  const Discovery found = find(tree.root(), "hwmon");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["hwmon.ina3221@1-0040.in1.power"].value, 6);
+  EXPECT_EQ(readings["hwmon.ina3221@1-0041.in1.power"].value, 20);
+  for (const auto& source : found.sources) EXPECT_TRUE(source->traits().slow);
+}
+
+TEST(Hwmon, ReadsTheRailsOfOldJetPacks) {
+  const std::string chip = "sys/bus/i2c/drivers/ina3221x/1-0040/iio:device0/";
+  const Tree tree{{chip + "rail_name_0", "POM_5V_IN\n"},  {chip + "in_power0_input", "2314\n"},
+                  {chip + "in_voltage0_input", "5048\n"}, {chip + "rail_name_1", "POM_5V_GPU\n"},
+                  {chip + "in_power1_input", "120\n"},    {chip + "rail_name_2", "NC\n"},
+                  {chip + "in_power2_input", "0\n"}};
+  const Discovery found = find(tree.root(), "hwmon");
+  auto readings = poll_all(found);
+  EXPECT_THAT(readings, SizeIs(2));
+  EXPECT_EQ(readings["hwmon.ina3221x.pom_5v_in.power"].value, 2314);
+  EXPECT_EQ(readings["hwmon.ina3221x.pom_5v_gpu.power"].value, 120);
+  EXPECT_EQ(channel_called(found, "hwmon.ina3221x.pom_5v_in.power").unit, Unit::milliwatt);
+  EXPECT_THAT(found.missing, IsEmpty());
+  const std::string second = "sys/bus/i2c/drivers/ina3221x/1-0041/iio:device1/";
+  tree.write({{second + "rail_name_0", "POM_5V_IN\n"}, {second + "in_power0_input", "9\n"}});
+  EXPECT_EQ(poll_all(find(tree.root(), "hwmon"))["hwmon.ina3221x@1-0041.pom_5v_in.power"].value, 9);
+}
+
+TEST(Hwmon, LimitsPowerByWhatIsEnforcedAndNotByThePeak) {
+  const std::string chip = "sys/class/hwmon/hwmon0/";
+  const Tree tree{{chip + "name", "i915\n"},
+                  {chip + "device/uevent", "PCI_SLOT_NAME=0000:03:00.0\n"},
+                  {chip + "power1_input", "30000000\n"},
+                  {chip + "power1_max", "190000000\n"},
+                  {chip + "power1_crit", "300000000\n"},
+                  {chip + "energy1_input", "0\n"}};
+  const Discovery found = find(tree.root(), "hwmon");
+  EXPECT_EQ(channel_called(found, "hwmon.i915.power1.power").limit, 190'000'000);
+  EXPECT_EQ(poll_all(found)["hwmon.i915.power1.power_limit"].value, 190'000'000);
+  EXPECT_EQ(channel_called(found, "hwmon.i915.power1.power_limit").quantity, Quantity::limit);
+  EXPECT_EQ(channel_called(found, "hwmon.i915.energy1.energy").kind, Kind::cumulative);
+  for (const auto& source : found.sources) {
+    EXPECT_TRUE(source->traits().slow);
+    EXPECT_EQ(source->traits().gpu, "0000:03:00.0");
+  }
+}
+
+TEST(Hwmon, CallsTheEnergyOfAnArcByItsLabel) {
+  const Discovery found = find(machine("intel-a380-xe-dgpu"), "hwmon");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["hwmon.xe.pkg.power_limit"].value, 55'000'000);
+  EXPECT_EQ(readings["hwmon.xe.pkg.temp"].value, 56'000);
+  EXPECT_EQ(readings["hwmon.xe.vram.temp"].value, 54'000);
+  EXPECT_EQ(channel_called(found, "hwmon.xe.pkg.energy").kind, Kind::cumulative);
+  EXPECT_THAT(names_of(found), SizeIs(4));
+}
+
+TEST(Hwmon, LeavesOutWhatIsSwitchedOff) {
+  const std::string chip = "sys/class/hwmon/hwmon0/";
+  const Tree tree{{chip + "name", "nct7802\n"},       {chip + "temp1_input", "30000\n"},
+                  {chip + "temp2_input", "-61000\n"}, {chip + "temp2_enable", "0\n"},
+                  {chip + "temp2_crit_alarm", "1\n"}, {chip + "temp3_input", "-5000\n"}};
+  const Discovery found = find(tree.root(), "hwmon");
+  EXPECT_THAT(names_of(found), ElementsAre("hwmon.nct7802.temp1.temp", "hwmon.nct7802.temp3.temp"));
+  EXPECT_EQ(poll_all(found)["hwmon.nct7802.temp3.temp"].value, -5000);
+}
+
 TEST(Hwmon, EndsInACycleOfLinks) {
   const Tree tree{{"sys/class/hwmon/hwmon0/name", "loop\n"},
                   {"sys/class/hwmon/hwmon0/temp1_input", "30000\n"}};
@@ -216,6 +491,74 @@ TEST(Cpufreq, RecordsTheMaximumThatTheKernelAllows) {
   EXPECT_EQ(poll_all(found)["cpufreq.cpu0.max_freq"].status, PollStatus::ok);
   EXPECT_TRUE(channel_called(found, "cpufreq.cpu0.freq").limit.has_value());
 }
+
+TEST(Cpufreq, SeesAClampAndPassesOverPoliciesThatFail) {
+  const std::string policies = "sys/devices/system/cpu/cpufreq/";
+  const Tree tree{{policies + "policy0/scaling_cur_freq", "2000000\n"},
+                  {policies + "policy0/scaling_max_freq", "3000000\n"},
+                  {policies + "policy0/cpuinfo_max_freq", "3000000\n"},
+                  {policies + "policy1/scaling_cur_freq", "<unknown>\n"},
+                  {policies + "policy2/scaling_cur_freq", "1\n"},
+                  {policies + "policy3/scaling_cur_freq", "1\n"}};
+  const Discovery found = find(tree.root({{policies + "policy2/scaling_cur_freq", EIO},
+                                          {policies + "policy3/scaling_cur_freq", EBUSY}}),
+                               "cpufreq");
+  EXPECT_THAT(names_of(found),
+              ElementsAre("cpufreq.cpu0.freq", "cpufreq.cpu3.freq", "cpufreq.cpu0.max_freq"));
+  EXPECT_THAT(found.missing, missing_because("<unknown>"));
+  EXPECT_THAT(found.missing, missing_because("Input/output error"));
+  const Channel cap = channel_called(found, "cpufreq.cpu0.max_freq");
+  EXPECT_EQ(cap.limit, 3'000'000);
+  EXPECT_EQ(cap.period_ns, 1'000'000'000);
+  tree.write({{policies + "policy0/scaling_max_freq", "1200000\n"}});
+  EXPECT_EQ(poll_all(found)["cpufreq.cpu0.max_freq"].value, 1'200'000);
+}
+
+TEST(ProcStat, StepsBackWithTheKernelAndRefusesWhatNoIntegerHolds) {
+  const Tree tree{{"proc/stat", "cpu  10 0 10 50 5 1 1 8 0 0\n"}};
+  const Discovery found = find(tree.root(), "proc_stat");
+  EXPECT_EQ(poll_all(found)["proc.stat.steal"].value, 8);
+  tree.write({{"proc/stat", "cpu  10 0 10 50 4 1 1 6 0 0\n"}});
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["proc.stat.steal"].value, 6);
+  EXPECT_EQ(readings["proc.stat.busy"].value, 22);
+  tree.write({{"proc/stat", "cpu  9223372036854775807 0 1 50 4 1 1 6 0 0\n"}});
+  EXPECT_EQ(poll_all(found)["proc.stat.busy"].status, PollStatus::retry);
+}
+
+// Boards whose every file holds the same text.
+class Garbage : public testing::TestWithParam<std::string> {};
+
+TEST_P(Garbage, IsDiscoveredAndReadWithoutHarm) {
+  const std::string& text = GetParam();
+  const Selection boards{
+      .sources = {"hwmon", "cpufreq", "devfreq", "v3d", "raspberrypi", "battery"}};
+  for (const char* name : {"msm8916-adreno-board", "jetson-orin-nano", "rpi4-v3d-board"}) {
+    SCOPED_TRACE(name);
+    const Tree tree(name);
+    tree.write({{battery + "type", "Battery\n"},
+                {battery + "status", "Discharging\n"},
+                {battery + "current_now", "1\n"},
+                {battery + "voltage_now", "1\n"}});
+    const Discovery before = discover(tree.root(), boards);
+    for (const auto& entry : std::filesystem::recursive_directory_iterator(tree.path() + "/sys")) {
+      if (!entry.is_regular_file()) continue;
+      std::string line;
+      std::getline(std::ifstream(entry.path()) >> std::ws, line);
+      // A file that stands for a link stays one.
+      if (!line.starts_with("../")) std::ofstream(entry.path(), std::ios::binary) << text;
+    }
+    for (const auto& [channel, reading] : poll_all(before))
+      EXPECT_NE(reading.status, PollStatus::gone) << channel;
+    for (const auto& [channel, reading] : poll_all(discover(tree.root(), boards)))
+      EXPECT_NE(reading.status, PollStatus::gone) << channel;
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Texts, Garbage,
+                         testing::Values("", std::string(200'000, '9'),
+                                         std::string("\0\xff@=0x\t:\n*", 9),
+                                         "-9223372036854775808"));
 
 }  // namespace
 }  // namespace energyprof::probe
