@@ -33,14 +33,6 @@ constexpr std::string_view class_dir = "sys/class/devfreq";
 constexpr int64_t clock_period_ns = 20 * ns_per_ms;
 constexpr int64_t stat_period_ns = 100 * ns_per_ms;
 
-bool is_gpu(std::string_view device) {
-  constexpr std::array<std::string_view, 10> marks{"gpu",   "mali",  "adreno", "kgsl",  "v3d",
-                                                   "ga10b", "gv11b", "gk20a",  "gp10b", "panthor"};
-  return std::any_of(marks.begin(), marks.end(), [&](std::string_view mark) {
-    return device.find(mark) != std::string_view::npos;
-  });
-}
-
 // The integer at the start of `text`, which loses it and the space before it.
 std::optional<int64_t> take_int(std::string_view& text) {
   text.remove_prefix(std::min(text.find_first_not_of(" \t"), text.size()));
@@ -256,11 +248,19 @@ void discover_transitions(const Root& root, const std::string& device, const std
 
 }  // namespace
 
+bool is_gpu_name(std::string_view device) {
+  constexpr std::array<std::string_view, 10> marks{"gpu",   "mali",  "adreno", "kgsl",  "v3d",
+                                                   "ga10b", "gv11b", "gk20a",  "gp10b", "panthor"};
+  return std::any_of(marks.begin(), marks.end(), [&](std::string_view mark) {
+    return device.find(mark) != std::string_view::npos;
+  });
+}
+
 void discover_devfreq(const Root& root, Discovery& discovery) {
   const size_t source_count = discovery.sources.size();
   std::vector<std::string> others;
   for (const std::string& entry : root.list(class_dir)) {
-    if (!is_gpu(entry)) {
+    if (!is_gpu_name(entry)) {
       others.push_back(entry);
       continue;
     }
