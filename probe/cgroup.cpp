@@ -36,9 +36,15 @@ std::string first_existing(const Root& root, std::initializer_list<std::string> 
   return {};
 }
 
-// The hierarchy that limits CPU time: v1 if one has the cpu controller, else v2.
-std::optional<Membership> find_membership(const Root& root, std::string_view lines) {
+// The own groups in the v1 hierarchy with the cpu controller and in v2. On hybrid systems there are
+// both, and the controller is in one of them.
+struct Memberships {
+  std::optional<Membership> v1;
   std::optional<Membership> v2;
+};
+
+Memberships parse_memberships(const Root& root, std::string_view lines) {
+  Memberships found;
   while (!lines.empty()) {
     const size_t end = std::min(lines.find('\n'), lines.size());
     const std::string_view line = lines.substr(0, end);
@@ -51,13 +57,13 @@ std::optional<Membership> find_membership(const Root& root, std::string_view lin
     if (has_cpu(controllers)) {
       const std::string mount = first_existing(
           root, {"sys/fs/cgroup/" + controllers, "sys/fs/cgroup/cpu,cpuacct", "sys/fs/cgroup/cpu"});
-      if (!mount.empty()) return Membership{mount, group, true};
+      if (!mount.empty()) found.v1 = Membership{mount, group, true};
     } else if (controllers.empty()) {
       const std::string mount = first_existing(root, {"sys/fs/cgroup/unified", "sys/fs/cgroup"});
-      if (!mount.empty()) v2 = Membership{mount, group, false};
+      if (!mount.empty()) found.v2 = Membership{mount, group, false};
     }
   }
-  return v2;
+  return found;
 }
 
 // Directories of the own group and those above it, innermost first. A container sees its own group
@@ -66,7 +72,8 @@ std::vector<std::string> levels_of(const Root& root, const Membership& member) {
   std::vector<std::string> levels;
   std::string group = member.group;
   while (group.size() > 1 && group.ends_with('/')) group.pop_back();
-  if (group.find("..") == std::string::npos && root.exists(member.mount + group))
+  if (group.starts_with('/') && group.find("..") == std::string::npos &&
+      root.exists(member.mount + group))
     for (; group.size() > 1; group.resize(group.rfind('/'))) levels.push_back(member.mount + group);
   levels.push_back(member.mount);
   return levels;
@@ -110,6 +117,13 @@ Channel quota_channel(std::string name, Unit unit, std::string origin) {
 
 }  // namespace
 
+std::optional<std::string> own_group_v2(const Root& root) {
+  const std::string lines = root.read("proc/self/cgroup").text.value_or("");
+  const Memberships memberships = parse_memberships(root, lines);
+  if (!memberships.v2) return std::nullopt;
+  return levels_of(root, *memberships.v2).front();
+}
+
 void discover_cgroup(const Root& root, Discovery& discovery) {
   const Root::Text self = root.read("proc/self/cgroup");
   if (!self.text) {
@@ -120,7 +134,8 @@ void discover_cgroup(const Root& root, Discovery& discovery) {
          ""});
     return;
   }
-  const std::optional<Membership> member = find_membership(root, *self.text);
+  const Memberships memberships = parse_memberships(root, *self.text);
+  const std::optional<Membership>& member = memberships.v1 ? memberships.v1 : memberships.v2;
   if (!member) {
     discovery.missing.push_back({"cgroup",
                                  fmt::format("no control group hierarchy for CPU time in '{}'",

@@ -36,17 +36,8 @@
 #include "probe/names.h"
 
 namespace energyprof::probe {
-namespace {
 
-constexpr std::string_view class_dir = "sys/class/devfreq";
-constexpr std::string_view kgsl_dir = "sys/class/kgsl";
-constexpr int64_t clock_period_ns = 20 * ns_per_ms;
-constexpr int64_t stat_period_ns = 100 * ns_per_ms;
-constexpr size_t largest_page_bytes = size_t{64} << 10;  // a sysfs file is one page at most
-
-// Whether a device's name, driver or compatible text is a GPU's. What throttles the memory for one
-// ("soc:qcom,gpubw", "soc:qcom,kgsl-busmon") is none.
-bool is_gpu(std::string_view text) {
+bool is_gpu_name(std::string_view text) {
   constexpr std::array<std::string_view, 11> marks{
       "gpu", "mali", "adreno", "kgsl", "v3d", "g3d", "ga10b", "gv11b", "gk20a", "panthor", "gp10b"};
   constexpr std::array<std::string_view, 3> others{"bw", "busmon", "ddr"};
@@ -54,6 +45,14 @@ bool is_gpu(std::string_view text) {
   return std::any_of(marks.begin(), marks.end(), has) &&
          std::none_of(others.begin(), others.end(), has);
 }
+
+namespace {
+
+constexpr std::string_view class_dir = "sys/class/devfreq";
+constexpr std::string_view kgsl_dir = "sys/class/kgsl";
+constexpr int64_t clock_period_ns = 20 * ns_per_ms;
+constexpr int64_t stat_period_ns = 100 * ns_per_ms;
+constexpr size_t largest_page_bytes = size_t{64} << 10;  // a sysfs file is one page at most
 
 // The integer at the start of `text`, which loses it and the space before it.
 std::optional<int64_t> take_int(std::string_view& text) {
@@ -256,7 +255,7 @@ void discover_tegra_loads(const Root& root, std::set<std::string> known, Discove
     for (const std::string& entry : root.list(parent)) {
       const std::string path = fmt::format("{}/{}/load", parent, entry);
       const Root::Resolved resolved = root.resolve(path);
-      if (!is_gpu(entry) || resolved.error != 0 || !has_load(root, path) ||
+      if (!is_gpu_name(entry) || resolved.error != 0 || !has_load(root, path) ||
           !known.insert(resolved.path).second)
         continue;
       const std::string gpu = gpu_of_device(root, fmt::format("{}/{}", parent, entry));
@@ -354,7 +353,7 @@ bool is_driven_as_gpu(const Root& root, const std::string& device) {
         std::find(drivers.begin(), drivers.end(), line.substr(line.find('=') + 1)) != drivers.end())
       return true;
     if ((line.starts_with("OF_NAME=") || line.starts_with("OF_COMPATIBLE_")) &&
-        is_gpu(line.substr(line.find('='))))
+        is_gpu_name(line.substr(line.find('='))))
       return true;
   }
   return false;
@@ -370,7 +369,7 @@ void discover_devfreq(const Root& root, Discovery& discovery) {
   for (const std::string& entry : root.list(class_dir)) {
     const std::string device = fmt::format("{}/{}", class_dir, entry);
     const std::string name = device_name(root, entry);
-    if (!is_gpu(name) && !is_driven_as_gpu(root, device)) {
+    if (!is_gpu_name(name) && !is_driven_as_gpu(root, device)) {
       others.push_back(name);
       continue;
     }

@@ -1,6 +1,8 @@
 /// Clocks, load and thermal clamps of GPUs on ARM systems: Mali, Adreno, Tegra.
 #pragma once
 
+#include <string_view>
+
 #include "probe/root.h"
 #include "probe/source.h"
 
@@ -17,5 +19,8 @@ namespace energyprof::probe {
 /// the class (memory controllers) are listed as missing.
 /// Kernel: Documentation/ABI/testing/sysfs-class-devfreq.
 void discover_devfreq(const Root& root, Discovery& discovery);
+
+/// Whether a device's name is that of a GPU: "fb000000.gpu", "17000000.ga10b".
+bool is_gpu_name(std::string_view device);
 
 }  // namespace energyprof::probe

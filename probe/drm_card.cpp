@@ -19,10 +19,6 @@ constexpr std::string_view class_dir = "sys/class/drm";
 
 std::string last_part(const std::string& path) { return path.substr(path.rfind('/') + 1); }
 
-bool is_number(std::string_view text) {
-  return !text.empty() && text.find_first_not_of("0123456789") == std::string_view::npos;
-}
-
 // The value after "<key>=" at the start of a line; empty if there is none.
 std::string uevent_value(const Root& root, const std::string& device, std::string_view key) {
   const std::string text = root.read(device + "/uevent").text.value_or("");
@@ -56,7 +52,7 @@ std::string gpu_of_device(const Root& root, std::string_view device_path) {
 std::vector<DrmCard> list_drm_cards(const Root& root) {
   std::vector<DrmCard> cards;
   for (const std::string& entry : root.list(class_dir)) {
-    if (!entry.starts_with("card") || !is_number(std::string_view(entry).substr(4))) continue;
+    if (!is_numbered(entry, "card")) continue;
     DrmCard card{fmt::format("{}/{}", class_dir, entry), {}, {}};
     const std::string device = card.path + "/device";
     card.driver = driver_of(root, device);
@@ -73,6 +69,17 @@ std::vector<NamedCard> drm_cards_of(const Root& root, std::string_view driver) {
   if (named.size() > 1)
     for (NamedCard& one : named) one.prefix += '@' + slug(one.card.gpu);
   return named;
+}
+
+void report_absent_chip(const Root& root, const DrmCard& card, Discovery& discovery) {
+  const std::string chips = card.path + "/device/hwmon";
+  if (root.exists(chips)) return;
+  discovery.missing.push_back(
+      {card.driver,
+       fmt::format("no '{}': {} has no power or temperature of its own, as usual for an integrated "
+                   "GPU; its energy is RAPL's uncore, its temperature the package's",
+                   root.display(chips), card.gpu),
+       ""});
 }
 
 std::optional<std::string> gpu_of_drm_node(const Root& root, int64_t major, int64_t minor) {

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "probe/root.h"
+#include "probe/source.h"
 
 namespace energyprof::probe {
 
@@ -27,6 +28,10 @@ struct NamedCard {
   std::string prefix;
 };
 std::vector<NamedCard> drm_cards_of(const Root& root, std::string_view driver);
+
+/// Says that the card has no hwmon chip, if so: integrated Intel GPUs have none, and what they use
+/// is counted elsewhere.
+void report_absent_chip(const Root& root, const DrmCard& card, Discovery& discovery);
 
 /// The GPU behind a directory of sysfs that is, or is a link to, its device: its PCI address, else
 /// the last part of the device's path. Empty if the directory is not there.

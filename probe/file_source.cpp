@@ -1,5 +1,6 @@
 #include "probe/file_source.h"
 
+#include <cerrno>
 #include <utility>
 
 namespace energyprof::probe {
@@ -28,8 +29,8 @@ void FileSource::poll(std::span<Reading> out) noexcept {
 }
 
 FileGroupSource::FileGroupSource(std::string name, int64_t period_ns, std::vector<Channel> channels,
-                                 FileGroups groups, Pick pick)
-    : SensorSource(std::move(name), period_ns, std::move(channels)),
+                                 FileGroups groups, Pick pick, SourceTraits traits)
+    : SensorSource(std::move(name), period_ns, std::move(channels), std::move(traits)),
       groups_(std::move(groups)),
       pick_(pick) {}
 
@@ -49,6 +50,15 @@ void FileGroupSource::poll(std::span<Reading> out) noexcept {
     }
     out[i] = best;
   }
+}
+
+void add_file_row(const Root& root, Discovery& discovery, std::string source,
+                  std::vector<FileChannel>& rows, Channel channel, std::string_view path) {
+  CheckedFile checked = check_int_file(root, path);
+  if (checked.problem.empty())
+    rows.push_back({std::move(channel), std::move(checked.file)});
+  else if (checked.error != ENOENT)
+    discovery.missing.push_back({std::move(source), std::move(checked.problem), ""});
 }
 
 void add_file_source(Discovery& discovery, std::string name, int64_t period_ns,

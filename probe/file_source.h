@@ -37,13 +37,18 @@ class FileGroupSource final : public SensorSource {
  public:
   using FileGroups = std::vector<std::vector<TextFile>>;
   FileGroupSource(std::string name, int64_t period_ns, std::vector<Channel> channels,
-                  FileGroups groups, Pick pick);
+                  FileGroups groups, Pick pick, SourceTraits traits = {});
   void poll(std::span<Reading> out) noexcept override;
 
  private:
   FileGroups groups_;
   Pick pick_;
 };
+
+/// Adds the file as a row, or says in `discovery` why `source` cannot use it. An absent file is no
+/// news.
+void add_file_row(const Root& root, Discovery& discovery, std::string source,
+                  std::vector<FileChannel>& rows, Channel channel, std::string_view path);
 
 /// Adds a FileSource of these rows to `discovery`; nothing for no rows.
 void add_file_source(Discovery& discovery, std::string name, int64_t period_ns,

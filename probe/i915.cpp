@@ -1,12 +1,14 @@
 // Expects in a card's directory, since Linux 5.19
 //
-//   gt/gt0/rps_act_freq_mhz  rps_cur_freq_mhz  rps_max_freq_mhz  rps_RP0_freq_mhz     1300
-//   gt/gt0/throttle_reason_status  throttle_reason_pl1  ...                           0 or 1
-//   gt/gt0/rc6_residency_ms                                                           184467
+//   gt/gt0/rps_act_freq_mhz  rps_cur_freq_mhz  punit_req_freq_mhz       1300
+//   gt/gt0/rps_max_freq_mhz  rps_RP0_freq_mhz  rps_RPn_freq_mhz         1500
+//   gt/gt0/throttle_reason_status  throttle_reason_pl1  ...             0 or 1
+//   gt/gt0/rc6_residency_ms                                             184467
 //
 // and before that, for all GTs together,
 //
-//   gt_act_freq_mhz  gt_cur_freq_mhz  gt_max_freq_mhz  gt_RP0_freq_mhz  power/rc6_residency_ms
+//   gt_act_freq_mhz  gt_cur_freq_mhz  gt_max_freq_mhz  gt_RP0_freq_mhz  gt_RPn_freq_mhz
+//   power/rc6_residency_ms
 #include "probe/i915.h"
 
 #include <fmt/format.h>
@@ -17,6 +19,7 @@
 #include "core/clock.h"
 #include "probe/drm_card.h"
 #include "probe/file_source.h"
+#include "probe/names.h"
 #include "probe/throttle_reasons.h"
 
 namespace energyprof::probe {
@@ -32,18 +35,21 @@ struct Gt {
   std::string path;
   std::string clock_files;  // how the clocks' files begin: path + "/rps_" or "/gt_"
   std::string rc6_file;
+  bool has_directory = false;  // of its own: the kernel is 5.19 or newer
 };
 
 std::vector<Gt> list_gts(const Root& root, const NamedCard& named) {
   const std::string& card = named.card.path;
   std::vector<Gt> gts;
   for (const std::string& entry : root.list(card + "/gt")) {
-    if (!entry.starts_with("gt")) continue;
+    if (!is_numbered(entry, "gt")) continue;
     const std::string path = fmt::format("{}/gt/{}", card, entry);
     std::string rc6_file = path + "/rc6_residency_ms";
+    std::string clock_files = path + "/rps_";
     if (entry == "gt0" && !root.exists(rc6_file)) rc6_file = card + "/power/rc6_residency_ms";
-    gts.push_back(
-        {fmt::format("{}.{}", named.prefix, entry), path, path + "/rps_", std::move(rc6_file)});
+    if (entry == "gt0" && !root.exists(clock_files + "act_freq_mhz")) clock_files = card + "/gt_";
+    gts.push_back({fmt::format("{}.{}", named.prefix, entry), path, std::move(clock_files),
+                   std::move(rc6_file), true});
   }
   if (gts.empty())
     gts.push_back({named.prefix + ".gt0", card, card + "/gt_", card + "/power/rc6_residency_ms"});
@@ -59,15 +65,18 @@ Channel clock_channel(std::string name, Quantity quantity, std::optional<int64_t
   return channel;
 }
 
-// Adds the file as a row, or says why not. An absent file is no news.
-void add_row(const Root& root, Discovery& discovery, std::vector<FileChannel>& rows,
-             Channel channel, const std::string& path) {
-  if (!root.exists(path)) return;
-  CheckedFile checked = check_int_file(root, path);
-  if (checked.problem.empty())
-    rows.push_back({std::move(channel), std::move(checked.file)});
-  else
-    discovery.missing.push_back({"i915", checked.problem, ""});
+Missing no_reasons(const Root& root, const Gt& gt) {
+  if (gt.has_directory)
+    return {"i915",
+            fmt::format("no throttle_reason_* of {} in '{}': GPU generation before 11, for which "
+                        "the driver exposes no throttle reasons",
+                        gt.prefix, root.display(gt.path)),
+            ""};
+  return {"i915",
+          fmt::format("no throttle_reason_* of {} in '{}': the driver gives them from Linux 5.19 "
+                      "and GPU generation 11 on",
+                      gt.prefix, root.display(gt.path)),
+          ""};
 }
 
 void discover_gt(const Root& root, const Gt& gt, const std::string& gpu, Discovery& discovery) {
@@ -77,29 +86,30 @@ void discover_gt(const Root& root, const Gt& gt, const std::string& gpu, Discove
   const std::optional<int64_t> highest = check_int_file(root, file("RP0")).value;
   const SourceTraits quiet{.gpu = gpu};
   std::vector<FileChannel> clocks;
-  add_row(root, discovery, clocks,
-          clock_channel(gt.prefix + ".act_freq", Quantity::frequency, highest), file("act"));
-  add_row(root, discovery, clocks,
-          clock_channel(gt.prefix + ".requested_freq", Quantity::frequency, highest), file("cur"));
+  const auto add_clock = [&](std::string_view name, const std::string& path) {
+    add_file_row(root, discovery, "i915", clocks,
+                 clock_channel(fmt::format("{}.{}", gt.prefix, name), Quantity::frequency, highest),
+                 path);
+  };
+  add_clock("act_freq", file("act"));
+  add_clock("requested_freq", file("cur"));
+  add_clock("punit_requested_freq", gt.path + "/punit_req_freq_mhz");
   if (clocks.empty())
     discovery.missing.push_back(
         {"i915", fmt::format("no clock of {} in '{}'", gt.prefix, root.display(gt.path)), ""});
   add_file_source(discovery, "i915", clock_period_ns, std::move(clocks), quiet);
 
   std::vector<FileChannel> limits;
-  add_row(root, discovery, limits, clock_channel(gt.prefix + ".max_freq", Quantity::limit, highest),
-          file("max"));
+  for (const auto& [name, which] :
+       {std::pair{"max_freq", "max"}, std::pair{"rp0_freq", "RP0"}, std::pair{"rpn_freq", "RPn"}})
+    add_file_row(root, discovery, "i915", limits,
+                 clock_channel(fmt::format("{}.{}", gt.prefix, name), Quantity::limit, highest),
+                 file(which));
   add_file_source(discovery, "i915", limit_period_ns, std::move(limits), quiet);
 
   if (!add_reason_files(root, discovery, "i915", gt.prefix, gt.path, "throttle_reason_",
                         "throttle_reason_status", gpu))
-    discovery.missing.push_back(
-        {"i915",
-         fmt::format(
-             "no throttle_reason_* of {} in '{}': the driver gives them from Linux 5.19 and "
-             "GPU generation 11 on",
-             gt.prefix, root.display(gt.path)),
-         ""});
+    discovery.missing.push_back(no_reasons(root, gt));
 
   Channel idle;
   idle.name = gt.prefix + ".rc6_residency";
@@ -108,7 +118,7 @@ void discover_gt(const Root& root, const Gt& gt, const std::string& gpu, Discove
   idle.kind = Kind::cumulative;
   idle.wrap_at = std::numeric_limits<uint32_t>::max();
   std::vector<FileChannel> residency;
-  add_row(root, discovery, residency, std::move(idle), gt.rc6_file);
+  add_file_row(root, discovery, "i915", residency, std::move(idle), gt.rc6_file);
   add_file_source(discovery, "i915", idle_period_ns, std::move(residency),
                   {.slow = true, .wakes_device = true, .gpu = gpu});
 }
@@ -118,8 +128,10 @@ void discover_gt(const Root& root, const Gt& gt, const std::string& gpu, Discove
 void discover_i915(const Root& root, Discovery& discovery) {
   const std::vector<NamedCard> cards = drm_cards_of(root, "i915");
   if (cards.empty()) discovery.missing.push_back({"i915", "no GPU runs under the i915 driver", ""});
-  for (const NamedCard& named : cards)
+  for (const NamedCard& named : cards) {
     for (const Gt& gt : list_gts(root, named)) discover_gt(root, gt, named.card.gpu, discovery);
+    report_absent_chip(root, named.card, discovery);
+  }
 }
 
 }  // namespace energyprof::probe

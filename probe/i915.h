@@ -9,7 +9,9 @@ namespace energyprof::probe {
 /// Channels of each GT (gt0 renders and computes; gt1, where there is one, is for media):
 ///   i915.gt0.act_freq, .requested_freq: MHz; limit RP0, the highest clock. act is 0 while the GT
 ///     sleeps: it is not throttled then.
-///   i915.gt0.max_freq: MHz, the highest clock that software allows now.
+///   i915.gt0.punit_requested_freq: MHz, what the power unit was asked for last.
+///   i915.gt0.max_freq: MHz, the highest clock that software allows now; .rp0_freq, .rpn_freq: the
+///     highest and lowest that the hardware has.
 ///   i915.gt0.throttle.status, .pl1, .pl2, .pl4, .thermal, .prochot, ...: flags. Generation 11 and
 ///     newer. Reading wakes the GPU.
 ///   i915.gt0.rc6_residency: ms asleep, cumulative, wraps at 2^32 - 1. Reading wakes the GPU.

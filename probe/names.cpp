@@ -55,4 +55,10 @@ bool natural_less(std::string_view a, std::string_view b) {
   return whole_a < whole_b;  // equal but for leading zeros
 }
 
+bool is_numbered(std::string_view text, std::string_view prefix) {
+  if (!text.starts_with(prefix)) return false;
+  text.remove_prefix(prefix.size());
+  return !text.empty() && std::all_of(text.begin(), text.end(), is_digit);
+}
+
 }  // namespace energyprof::probe

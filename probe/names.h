@@ -13,4 +13,7 @@ std::string slug(std::string_view text);
 /// Whether `a` sorts before `b` when runs of digits compare as numbers: "cpu2" before "cpu12".
 bool natural_less(std::string_view a, std::string_view b);
 
+/// Whether `text` is `prefix` and a decimal number: "cpu12".
+bool is_numbered(std::string_view text, std::string_view prefix);
+
 }  // namespace energyprof::probe

@@ -1,4 +1,4 @@
-// Expects in proc/pressure/{cpu,memory,io}:
+// Expects in proc/pressure/{cpu,memory,io} and in cpu.pressure of the own control group:
 //
 //   some avg10=0.00 avg60=0.00 avg300=0.00 total=15
 //   full avg10=0.00 avg60=0.00 avg300=0.00 total=25
@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "core/clock.h"
+#include "probe/cgroup.h"
 #include "probe/text_file.h"
 
 namespace energyprof::probe {
@@ -59,24 +60,38 @@ class PsiSource final : public SensorSource {
 }  // namespace
 
 void discover_psi(const Root& root, Discovery& discovery) {
+  struct Place {
+    std::string path;
+    std::string prefix;  // of channel names
+    std::vector<std::string> kinds{"some", "full"};
+    bool optional = false;  // no news where it is not
+  };
+  std::vector<Place> places{
+      // All tasks of a whole machine never wait for CPU at once: its cpu.full is always 0.
+      {"proc/pressure/cpu", "psi.cpu", {"some"}},
+      {"proc/pressure/memory", "psi.memory"},
+      {"proc/pressure/io", "psi.io"}};
+  if (const auto group = own_group_v2(root))
+    places.push_back(
+        {.path = *group + "/cpu.pressure", .prefix = "psi.cgroup.cpu", .optional = true});
   std::vector<Channel> channels;
   std::vector<Resource> resources;
-  for (const std::string_view name : {"cpu", "memory", "io"}) {
-    const std::string path = fmt::format("proc/pressure/{}", name);
-    const Root::Text text = root.read(path);
+  for (const Place& place : places) {
+    const Root::Text text = root.read(place.path);
     if (!text.text) {
+      if (place.optional && text.error == ENOENT) continue;
       // EOPNOTSUPP: compiled in, but off.
       discovery.missing.push_back(
-          {"psi", fmt::format("cannot read '{}': {}", root.display(path), errno_text(text.error)),
+          {"psi",
+           fmt::format("cannot read '{}': {}", root.display(place.path), errno_text(text.error)),
            text.error == EOPNOTSUPP ? "boot with psi=1 on the kernel command line" : ""});
       continue;
     }
-    Resource resource{TextFile(root, path), {}};
-    for (const std::string kind : {"some", "full"}) {
-      // All tasks of a whole machine never wait for CPU at once: cpu.full is always 0.
-      if ((name == "cpu" && kind == "full") || !stall_us(*text.text, kind)) continue;
+    Resource resource{TextFile(root, place.path), {}};
+    for (const std::string& kind : place.kinds) {
+      if (!stall_us(*text.text, kind)) continue;
       Channel channel;
-      channel.name = fmt::format("psi.{}.{}", name, kind);
+      channel.name = fmt::format("{}.{}", place.prefix, kind);
       channel.quantity = Quantity::interference;
       channel.unit = Unit::microsecond;
       channel.kind = Kind::cumulative;

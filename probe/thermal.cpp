@@ -1,6 +1,7 @@
 // Expects:
 //
-//   sys/class/thermal/thermal_zone3/{type,temp}                          x86_pkg_temp, 53000
+//   sys/class/thermal/thermal_zone3/{type,temp,mode}                     x86_pkg_temp, 53000,
+//                                                                        enabled
 //   sys/class/thermal/thermal_zone3/trip_point_0_{type,temp}             passive, 95000
 //   sys/class/thermal/cooling_device0/{type,cur_state,max_state}         Processor, 0, 3
 #include "probe/thermal.h"
@@ -13,6 +14,7 @@
 #include <utility>
 
 #include "core/clock.h"
+#include "probe/devfreq.h"
 #include "probe/file_source.h"
 #include "probe/names.h"
 
@@ -22,8 +24,14 @@ namespace {
 constexpr std::string_view class_dir = "sys/class/thermal";
 constexpr int64_t fast_period_ns = 100 * ns_per_ms;
 constexpr int64_t acpi_period_ns = 5 * ns_per_s;  // acpitz: every read runs firmware code
+constexpr size_t files_per_period = 64;
 constexpr int64_t lowest_mc = -40'000;
 constexpr int64_t highest_mc = 200'000;
+
+// Zones that are not set or not measuring say 0, or -274 C and the like.
+bool is_measured(int64_t temp_mc) {
+  return temp_mc >= lowest_mc && temp_mc <= highest_mc && temp_mc != 0;
+}
 
 struct Device {
   std::string path;
@@ -49,9 +57,15 @@ std::vector<Device> list_devices(const Root& root, std::string_view prefix) {
   return devices;
 }
 
+bool is_disabled(const Root& root, const Device& zone) {
+  return root.read_line(zone.path + "/mode") == "disabled";
+}
+
 // Where the kernel begins to slow things down: the lowest passive trip point, else the lowest hot
-// or critical one. Trips that were never set are 0 or far below.
+// or critical one. Trips that were never set are 0 or far below; of a disabled zone, none is
+// heeded.
 std::optional<int64_t> trip_mc(const Root& root, const Device& zone) {
+  if (is_disabled(root, zone)) return std::nullopt;
   std::optional<int64_t> passive;
   std::optional<int64_t> severe;
   for (int i = 0;; ++i) {
@@ -66,21 +80,68 @@ std::optional<int64_t> trip_mc(const Root& root, const Device& zone) {
   return passive ? passive : severe;
 }
 
+// Temperatures; what is none is no value.
+class ZoneSource final : public SensorSource {
+ public:
+  ZoneSource(int64_t period_ns, std::vector<Channel> channels, std::vector<TextFile> files,
+             SourceTraits traits)
+      : SensorSource("thermal", period_ns, std::move(channels), std::move(traits)),
+        files_(std::move(files)) {}
+
+  void poll(std::span<Reading> out) noexcept override {
+    for (size_t i = 0; i < files_.size(); ++i) {
+      out[i] = files_[i].read_int();
+      if (out[i].status == PollStatus::ok && !is_measured(out[i].value))
+        out[i].status = PollStatus::retry;
+    }
+  }
+
+ private:
+  std::vector<TextFile> files_;
+};
+
+// Zones that are polled alike, before they are a source.
+struct ZoneGroup {
+  std::vector<Channel> channels;
+  std::vector<TextFile> files;
+};
+
+void add_zones(Discovery& discovery, int64_t period_ns, ZoneGroup group, SourceTraits traits) {
+  if (group.files.empty()) return;
+  discovery.sources.push_back(std::make_unique<ZoneSource>(
+      period_ns, std::move(group.channels), std::move(group.files), std::move(traits)));
+}
+
+// Why a zone is no channel; empty: it is one.
+Missing explain(const Root& root, const Device& zone, const CheckedFile& temp) {
+  Missing missing{"thermal", {}, {}};
+  if (zone.type == "INT3400 Thermal")
+    missing.reason = fmt::format("'{}' ({}) is a policy, not a sensor: its reading is a constant",
+                                 temp.file.path(), zone.type);
+  else if (!temp.problem.empty())
+    missing.reason = temp.problem;
+  else if (temp.value && !is_measured(*temp.value))
+    missing.reason = fmt::format("'{}' ({}) reads {} C: it is not measuring", temp.file.path(),
+                                 zone.type, static_cast<double>(*temp.value) / 1000.0);
+  else
+    return missing;
+  if (is_disabled(root, zone)) {
+    const std::string mode = root.display(zone.path + "/mode");
+    missing.reason += "; the zone is disabled";
+    missing.fix = fmt::format("echo enabled | sudo tee {}", mode);
+  }
+  return missing;
+}
+
 size_t discover_zones(const Root& root, Discovery& discovery) {
   const std::vector<Device> zones = list_devices(root, "thermal_zone");
-  std::vector<FileChannel> fast;
-  std::vector<FileChannel> slow;
+  ZoneGroup quick;
+  ZoneGroup acpi;
   for (const Device& zone : zones) {
     CheckedFile temp = check_int_file(root, zone.path + "/temp");
-    std::string problem = temp.problem;
-    if (zone.type == "INT3400 Thermal")
-      problem = fmt::format("'{}' ({}) is a policy, not a sensor: its reading is a constant",
-                            temp.file.path(), zone.type);
-    else if (temp.value && (*temp.value < lowest_mc || *temp.value > highest_mc))
-      problem = fmt::format("'{}' ({}) reads {} C: it is not measuring", temp.file.path(),
-                            zone.type, static_cast<double>(*temp.value) / 1000.0);
-    if (!problem.empty()) {
-      discovery.missing.push_back({"thermal", std::move(problem), ""});
+    Missing missing = explain(root, zone, temp);
+    if (!missing.reason.empty()) {
+      discovery.missing.push_back(std::move(missing));
       continue;
     }
     Channel channel;
@@ -88,10 +149,13 @@ size_t discover_zones(const Root& root, Discovery& discovery) {
     channel.quantity = Quantity::temperature;
     channel.unit = Unit::millicelsius;
     channel.limit = trip_mc(root, zone);
-    (zone.type == "acpitz" ? slow : fast).push_back({std::move(channel), std::move(temp.file)});
+    channel.origin = temp.file.path();
+    ZoneGroup& group = zone.type == "acpitz" ? acpi : quick;
+    group.channels.push_back(std::move(channel));
+    group.files.push_back(std::move(temp.file));
   }
-  add_file_source(discovery, "thermal", fast_period_ns, std::move(fast));
-  add_file_source(discovery, "thermal", acpi_period_ns, std::move(slow), {.slow = true});
+  add_zones(discovery, fast_period_ns, std::move(quick), {});
+  add_zones(discovery, acpi_period_ns, std::move(acpi), {.slow = true});
   return zones.size();
 }
 
@@ -102,6 +166,13 @@ bool throttles(const std::string& id) {
                                                    "charger"};
   return std::none_of(others.begin(), others.end(),
                       [&](std::string_view other) { return id.find(other) != std::string::npos; });
+}
+
+// The GPU that a cooling device slows down, by the name the kernel gives it: "devfreq-<device>".
+std::string gpu_of_cooling(const std::string& type) {
+  constexpr std::string_view prefix = "devfreq-";
+  const bool is_gpu = type.starts_with(prefix) && is_gpu_name(type);
+  return is_gpu ? type.substr(prefix.size()) : "";
 }
 
 void discover_cooling(const Root& root, Discovery& discovery) {
@@ -118,9 +189,20 @@ void discover_cooling(const Root& root, Discovery& discovery) {
     channel.name = fmt::format("thermal.cooling.{}.state", device.id);
     channel.quantity = Quantity::throttle;
     channel.unit = Unit::count;
-    rows.push_back({std::move(channel), std::move(state.file)});
+    channel.limit = highest.value;
+    std::string gpu = gpu_of_cooling(device.type);
+    if (gpu.empty()) {
+      rows.push_back({std::move(channel), std::move(state.file)});
+    } else {
+      std::vector<FileChannel> of_gpu;
+      of_gpu.push_back({std::move(channel), std::move(state.file)});
+      add_file_source(discovery, "thermal", fast_period_ns, std::move(of_gpu),
+                      {.gpu = std::move(gpu)});
+    }
   }
-  add_file_source(discovery, "thermal", fast_period_ns, std::move(rows));
+  // One "Processor" for each CPU.
+  const auto periods = static_cast<int64_t>(1 + rows.size() / files_per_period);
+  add_file_source(discovery, "thermal", fast_period_ns * periods, std::move(rows));
 }
 
 }  // namespace

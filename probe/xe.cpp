@@ -1,9 +1,9 @@
 // Expects in a device's directory, GTs below tiles or, in early kernels, without them:
 //
-//   tile0/gt0/freq0/act_freq  cur_freq  max_freq  rp0_freq          1350
-//   tile0/gt0/freq0/throttle/reasons                                "pl1 pl2", or "none"; newer
-//   kernels tile0/gt0/freq0/throttle/status  reason_pl1  reason_pl2 ...     0 or 1
-//   tile0/gt0/gtidle/idle_residency_ms                              2547784
+//   tile0/gt0/freq0/act_freq  cur_freq  max_freq  rp0_freq  rpn_freq     1350
+//   tile0/gt0/freq0/throttle/reasons                                     "pl1 pl2", or "none"
+//   tile0/gt0/freq0/throttle/status  reason_pl1  reason_pl2 ...          0 or 1; older kernels
+//   tile0/gt0/gtidle/idle_residency_ms                                   2547784
 #include "probe/xe.h"
 
 #include <fmt/format.h>
@@ -32,16 +32,17 @@ struct Gt {
 };
 
 std::vector<Gt> list_gts(const Root& root, const NamedCard& named) {
-  const std::string device = named.card.path + "/device";
-  std::vector<std::string> parents{device};
-  for (const std::string& entry : root.list(device))
-    if (entry.starts_with("tile")) parents.push_back(fmt::format("{}/{}", device, entry));
   std::vector<Gt> gts;
-  for (const std::string& parent : parents)
+  const auto add_gts_of = [&](const std::string& parent) {
     for (const std::string& entry : root.list(parent))
-      if (entry.starts_with("gt") && root.exists(fmt::format("{}/{}/freq0", parent, entry)))
+      if (is_numbered(entry, "gt") && root.exists(fmt::format("{}/{}/freq0", parent, entry)))
         gts.push_back(
             {fmt::format("{}.{}", named.prefix, entry), fmt::format("{}/{}", parent, entry)});
+  };
+  const std::string device = named.card.path + "/device";
+  for (const std::string& entry : root.list(device))
+    if (is_numbered(entry, "tile")) add_gts_of(fmt::format("{}/{}", device, entry));
+  if (gts.empty()) add_gts_of(device);
   return gts;
 }
 
@@ -54,6 +55,27 @@ std::string_view next_word(std::string_view& text) {
   return word;
 }
 
+// A word that can be the name of a reason; others are no list of reasons.
+bool is_reason(std::string_view word) {
+  constexpr size_t longest = 32;
+  return word.size() <= longest && std::all_of(word.begin(), word.end(), [](char c) {
+           return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '_';
+         });
+}
+
+// Whether `text` is a list of reasons. One without active reasons has the word "none": an empty
+// file says nothing.
+bool is_reason_list(std::string_view text) {
+  std::string_view word = next_word(text);
+  if (word.empty()) return false;
+  for (; !word.empty(); word = next_word(text))
+    if (!is_reason(word)) return false;
+  return true;
+}
+
+// Enough for every reason there is; what a longer list says behind that is not read.
+using ListBuffer = std::array<char, 1024>;
+
 // One file that lists the active reasons: one register read for all of them.
 class ReasonList final : public SensorSource {
  public:
@@ -65,29 +87,30 @@ class ReasonList final : public SensorSource {
         file_(std::move(file)) {}
 
   void poll(std::span<Reading> out) noexcept override {
-    std::array<char, 1024> buffer;
+    ListBuffer buffer;
     const TextFile::Read read = file_.read(buffer);
-    std::string_view text = read.text;
-    // "none" is always there: an empty file says nothing.
-    const bool is_list = read.error == 0 && !next_word(text).empty();
+    const bool is_list = read.error == 0 && is_reason_list(read.text);
     for (Reading& reading : out)
       reading = read.reading(is_list ? std::optional<int64_t>(0) : std::nullopt);
     if (!is_list) return;
-    text = read.text;
+    std::string_view text = read.text;
     for (std::string_view word = next_word(text); !word.empty(); word = next_word(text)) {
-      if (word == "none") continue;
+      if (word == none) continue;
       const auto known = std::find(names_.begin(), names_.end(), word);
-      out[static_cast<size_t>(known - names_.begin())].value = 1;  // the last one is "other"
+      out.front().value = 1;
+      out[1 + static_cast<size_t>(known - names_.begin())].value = 1;  // the last one is "other"
     }
   }
+
+  static constexpr std::string_view none = "none";
 
  private:
   static std::vector<Channel> flag_channels(std::string_view prefix,
                                             const std::vector<std::string>& names,
                                             const std::string& origin) {
-    std::vector<Channel> channels;
+    std::vector<Channel> channels{throttle_flag(prefix, "status", origin + ": any")};
     for (const std::string& name : names)
-      channels.push_back(throttle_flag(prefix, slug(name), origin + ": " + name));
+      channels.push_back(throttle_flag(prefix, name, origin + ": " + name));
     channels.push_back(throttle_flag(prefix, "other", origin + ": any other name"));
     return channels;
   }
@@ -96,15 +119,37 @@ class ReasonList final : public SensorSource {
   TextFile file_;
 };
 
-// The reasons that have a file of their own, and those that are active now.
+// Reasons that hardware is known to give, for kernels that have the list only.
+constexpr std::array<std::string_view, 18> all_reasons{"pl1",
+                                                       "pl2",
+                                                       "pl4",
+                                                       "thermal",
+                                                       "prochot",
+                                                       "ratl",
+                                                       "vr_thermalert",
+                                                       "vr_tdc",
+                                                       "soc_thermal",
+                                                       "mem_thermal",
+                                                       "vr_thermal",
+                                                       "iccmax",
+                                                       "soc_avg_thermal",
+                                                       "fastvmode",
+                                                       "psys_pl1",
+                                                       "psys_pl2",
+                                                       "p0_freq",
+                                                       "psys_crit"};
+
+// The reasons that have a file of their own, else all that are known; and those active now.
 std::vector<std::string> known_reasons(const Root& root, const std::string& directory,
                                        std::string_view active) {
   constexpr std::string_view file_prefix = "reason_";
   std::vector<std::string> names;
   for (const std::string& entry : root.list(directory))
-    if (entry.starts_with(file_prefix)) names.push_back(entry.substr(file_prefix.size()));
+    if (entry.starts_with(file_prefix) && is_reason(entry))
+      names.push_back(entry.substr(file_prefix.size()));
+  if (names.empty()) names.assign(all_reasons.begin(), all_reasons.end());
   for (std::string_view word = next_word(active); !word.empty(); word = next_word(active))
-    if (word != "none" && std::find(names.begin(), names.end(), word) == names.end())
+    if (word != ReasonList::none && std::find(names.begin(), names.end(), word) == names.end())
       names.emplace_back(word);
   return names;
 }
@@ -112,11 +157,12 @@ std::vector<std::string> known_reasons(const Root& root, const std::string& dire
 void discover_throttle(const Root& root, const Gt& gt, const std::string& gpu,
                        Discovery& discovery) {
   const std::string directory = gt.path + "/freq0/throttle";
-  const std::string list = directory + "/reasons";
-  const std::optional<std::string> active = root.read_line(list);
-  if (active) {
+  TextFile list(root, directory + "/reasons");
+  ListBuffer buffer;
+  const TextFile::Read read = list.read(buffer);
+  if (is_transient(read.error) || (read.error == 0 && is_reason_list(read.text))) {
     discovery.sources.push_back(std::make_unique<ReasonList>(
-        gt.prefix, known_reasons(root, directory, *active), TextFile(root, list),
+        gt.prefix, known_reasons(root, directory, read.text), std::move(list),
         SourceTraits{.slow = true, .wakes_device = true, .gpu = gpu}));
     return;
   }
@@ -126,35 +172,28 @@ void discover_throttle(const Root& root, const Gt& gt, const std::string& gpu,
          ""});
 }
 
-// A source of one file; an absent one is no news.
-void discover_file(const Root& root, Channel channel, const std::string& path, int64_t period_ns,
-                   SourceTraits traits, Discovery& discovery) {
-  if (!root.exists(path)) return;
-  CheckedFile checked = check_int_file(root, path);
-  if (!checked.problem.empty()) {
-    discovery.missing.push_back({"xe", checked.problem, ""});
-    return;
-  }
-  std::vector<FileChannel> rows;
-  rows.push_back({std::move(channel), std::move(checked.file)});
-  add_file_source(discovery, "xe", period_ns, std::move(rows), std::move(traits));
-}
-
 void discover_gt(const Root& root, const Gt& gt, const std::string& gpu, Discovery& discovery) {
-  const std::string freq = gt.path + "/freq0";
-  Channel clock;
-  clock.name = gt.prefix + ".act_freq";
-  clock.quantity = Quantity::frequency;
-  clock.unit = Unit::megahertz;
-  clock.limit = check_int_file(root, freq + "/rp0_freq").value;
   const SourceTraits quiet{.gpu = gpu};
   const SourceTraits waking{.slow = true, .wakes_device = true, .gpu = gpu};
-  discover_file(root, clock, freq + "/act_freq", clock_period_ns, quiet, discovery);
-  clock.name = gt.prefix + ".requested_freq";
-  discover_file(root, clock, freq + "/cur_freq", requested_period_ns, waking, discovery);
-  clock.name = gt.prefix + ".max_freq";
-  clock.quantity = Quantity::limit;
-  discover_file(root, clock, freq + "/max_freq", limit_period_ns, quiet, discovery);
+  const auto highest = check_int_file(root, gt.path + "/freq0/rp0_freq").value;
+  const auto add_clocks = [&](int64_t period_ns, const SourceTraits& traits, Quantity quantity,
+                              std::initializer_list<std::pair<const char*, const char*>> clocks) {
+    std::vector<FileChannel> rows;
+    for (const auto& [name, file] : clocks) {
+      Channel channel;
+      channel.name = fmt::format("{}.{}", gt.prefix, name);
+      channel.quantity = quantity;
+      channel.unit = Unit::megahertz;
+      channel.limit = highest;
+      add_file_row(root, discovery, "xe", rows, std::move(channel),
+                   fmt::format("{}/freq0/{}", gt.path, file));
+    }
+    add_file_source(discovery, "xe", period_ns, std::move(rows), traits);
+  };
+  add_clocks(clock_period_ns, quiet, Quantity::frequency, {{"act_freq", "act_freq"}});
+  add_clocks(requested_period_ns, waking, Quantity::frequency, {{"requested_freq", "cur_freq"}});
+  add_clocks(limit_period_ns, quiet, Quantity::limit,
+             {{"max_freq", "max_freq"}, {"rp0_freq", "rp0_freq"}, {"rpn_freq", "rpn_freq"}});
 
   discover_throttle(root, gt, gpu, discovery);
 
@@ -163,8 +202,10 @@ void discover_gt(const Root& root, const Gt& gt, const std::string& gpu, Discove
   idle.quantity = Quantity::utilization;
   idle.unit = Unit::millisecond;
   idle.kind = Kind::cumulative;
-  discover_file(root, std::move(idle), gt.path + "/gtidle/idle_residency_ms", idle_period_ns,
-                waking, discovery);
+  std::vector<FileChannel> residency;
+  add_file_row(root, discovery, "xe", residency, std::move(idle),
+               gt.path + "/gtidle/idle_residency_ms");
+  add_file_source(discovery, "xe", idle_period_ns, std::move(residency), waking);
 }
 
 }  // namespace
@@ -179,6 +220,7 @@ void discover_xe(const Root& root, Discovery& discovery) {
           {"xe", fmt::format("no GT with clocks in '{}/device'", root.display(named.card.path)),
            ""});
     for (const Gt& gt : gts) discover_gt(root, gt, named.card.gpu, discovery);
+    report_absent_chip(root, named.card, discovery);
   }
 }
 

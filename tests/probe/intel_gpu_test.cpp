@@ -11,10 +11,12 @@ namespace energyprof::probe {
 namespace {
 
 using testing::Contains;
+using testing::ElementsAre;
 using testing::Field;
 using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::Not;
+using testing::SizeIs;
 
 const std::string card = "sys/class/drm/card0/";
 const std::string xe_freq = card + "device/tile0/gt0/freq0/";
@@ -61,7 +63,11 @@ TEST(I915, ShowsALaptopThatBeginsToThrottle) {
   EXPECT_EQ(channel_called(found, "i915.gt0.throttle.pl1").kind, Kind::flag);
   EXPECT_EQ(channel_called(found, "i915.gt0.rc6_residency").wrap_at, 4'294'967'295);
   EXPECT_EQ(channel_called(found, "i915.gt0.act_freq").gpu, "0000:00:02.0");
-  EXPECT_THAT(found.missing, IsEmpty());
+  EXPECT_EQ(t1["i915.gt0.punit_requested_freq"].value, 1500);
+  EXPECT_EQ(t1["i915.gt0.rp0_freq"].value, 1500);
+  EXPECT_EQ(t1["i915.gt0.rpn_freq"].value, 100);
+  EXPECT_THAT(found.missing, SizeIs(1));
+  EXPECT_THAT(found.missing, missing_because("its energy is RAPL's uncore"));
 }
 
 TEST(I915, LeavesASleepingGpuItsSleepExceptForReasonsAndResidency) {
@@ -92,6 +98,66 @@ TEST(I915, HasOldFilesAndNoReasonsBeforeGeneration11) {
   EXPECT_EQ(channel_called(found, "i915.gt0.max_freq").quantity, Quantity::limit);
   EXPECT_EQ(channel_called(found, "i915.gt0.act_freq").limit, 1150);
   EXPECT_THAT(found.missing, missing_because("generation 11"));
+}
+
+TEST(I915, KnowsGenerationsBefore11ByTheirDirectoryWithoutReasons) {
+  const Tree tree{{card + "device/uevent", "DRIVER=i915\nPCI_SLOT_NAME=0000:00:02.0\n"},
+                  {card + "gt/gt0/rps_act_freq_mhz", "300\n"},
+                  {card + "power/rc6_residency_ms", "7\n"}};
+  const Discovery found = find(tree.root(), "i915");
+  EXPECT_THAT(found.missing,
+              missing_because("GPU generation before 11, for which the driver exposes no "
+                              "throttle reasons"));
+  EXPECT_EQ(poll_all(found)["i915.gt0.rc6_residency"].value, 7);
+}
+
+TEST(I915, TakesTheOldClocksOfAGtWhoseDirectoryHasNone) {
+  const Tree tree{{card + "device/uevent", "DRIVER=i915\n"},
+                  {card + "gt/gt0/id", "0\n"},
+                  {card + "gt_act_freq_mhz", "350\n"}};
+  EXPECT_EQ(poll_all(find(tree.root(), "i915"))["i915.gt0.act_freq"].value, 350);
+}
+
+TEST(I915, HasClocksWhereTheReasonsMayNotBeRead) {
+  const Tree tree("intel-rplp-i915-laptop");
+  const std::string gt = "sys/devices/pci0000:00/0000:00:02.0/drm/card1/gt/gt0/";
+  const Discovery found = find(
+      tree.root({{gt + "throttle_reason_status", EACCES}, {gt + "throttle_reason_pl2", EACCES}}),
+      "i915");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["i915.gt0.act_freq"].status, PollStatus::ok);
+  // Without a summary, each reason is read.
+  EXPECT_EQ(readings["i915.gt0.throttle.pl1"].status, PollStatus::ok);
+  EXPECT_EQ(readings.count("i915.gt0.throttle.pl2"), 0u);
+  EXPECT_THAT(found.missing, missing_because("throttle_reason_pl2': Permission denied"));
+}
+
+TEST(I915, KeepsSeveralCardsAndTheirChipsApart) {
+  const Tree tree{
+      {card + "device/uevent", "DRIVER=i915\nPCI_SLOT_NAME=0000:00:02.0\n"},
+      {card + "gt_act_freq_mhz", "300\n"},
+      {"sys/class/drm/card1/device/uevent", "DRIVER=i915\nPCI_SLOT_NAME=0000:03:00.0\n"},
+      {"sys/class/drm/card1/device/hwmon/hwmon2/name", "i915\n"},
+      {"sys/class/drm/card1/gt/gt0/rps_act_freq_mhz", "2400\n"}};
+  const Discovery found = find(tree.root(), "i915");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["i915@0000:00:02_0.gt0.act_freq"].value, 300);
+  EXPECT_EQ(readings["i915@0000:03:00_0.gt0.act_freq"].value, 2400);
+  EXPECT_EQ(channel_called(found, "i915@0000:03:00_0.gt0.act_freq").gpu, "0000:03:00.0");
+  EXPECT_THAT(found.missing, missing_because("0000:00:02.0 has no power"));
+  EXPECT_THAT(found.missing, Not(missing_because("0000:03:00.0 has no power")));
+}
+
+TEST(I915, LosesAReasonThatGoesAwayAndNothingElse) {
+  const Tree tree("intel-rplp-i915-laptop");
+  const std::string gt = "sys/devices/pci0000:00/0000:00:02.0/drm/card1/gt/gt0/";
+  const Discovery found = find(tree.root(), "i915");
+  tree.write({{gt + "throttle_reason_status", "1\n"}});
+  poll_all(found);
+  tree.remove(gt + "throttle_reason_pl4");
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["i915.gt0.throttle.pl4"].status, PollStatus::gone);
+  EXPECT_EQ(readings["i915.gt0.throttle.pl1"].status, PollStatus::ok);
 }
 
 TEST(I915, KeepsReasonsThatItDoesNotKnowAndGtsThatDoNotRender) {
@@ -134,6 +200,13 @@ TEST(Xe, ReadsAHandheldFromIdleToLoad) {
   EXPECT_EQ(t1["xe.gt0.throttle.pl2"].value, 1);
   EXPECT_EQ(t1["xe.gt0.throttle.thermal"].value, 0);
   EXPECT_EQ(t1["xe.gt0.throttle.other"].value, 0);
+  EXPECT_EQ(t0["xe.gt0.throttle.status"].value, 0);
+  EXPECT_EQ(t1["xe.gt0.throttle.status"].value, 1);
+  EXPECT_EQ(t1["xe.gt0.rpn_freq"].value, 100);
+  EXPECT_EQ(t1["xe.gt1.max_freq"].value, 1500);
+  EXPECT_EQ(t0["xe.gt1.c6_residency"].value, 5'708'895);
+  EXPECT_THAT(found.missing, SizeIs(1));
+  EXPECT_THAT(found.missing, missing_because("its energy is RAPL's uncore"));
 }
 
 TEST(Xe, DoesNotKeepTheGpuAwakeToKnowItsRequestedClock) {
@@ -157,6 +230,7 @@ TEST(Xe, DoesNotBelieveAnImpossibleClock) {
   EXPECT_EQ(channel_called(found, "xe.gt0.act_freq").limit, 2450);
   EXPECT_EQ(readings["xe.gt0.c6_residency"].value, 2'547'784);
   EXPECT_EQ(channel_called(found, "xe.gt0.act_freq").gpu, "0000:08:00.0");
+  EXPECT_THAT(found.missing, IsEmpty());  // it has a chip
 }
 
 TEST(Xe, KeepsReasonsThatItDoesNotKnow) {
@@ -174,6 +248,42 @@ TEST(Xe, KeepsReasonsThatItDoesNotKnow) {
   EXPECT_EQ(readings["xe.gt0.throttle.other"].value, 1);
   tree.write({{xe_freq + "throttle/reasons", "\n"}});
   EXPECT_EQ(poll_all(found)["xe.gt0.throttle.thermal"].status, PollStatus::retry);
+}
+
+TEST(Xe, KnowsReasonsWithoutAFileForEach) {
+  const Tree tree{{card + "device/uevent", "DRIVER=xe\n"},
+                  {xe_freq + "act_freq", "1000\n"},
+                  {xe_freq + "throttle/reasons", "none\n"}};
+  const Discovery found = find(tree.root(), "xe");
+  tree.write({{xe_freq + "throttle/reasons", "pl1 soc_avg_thermal\n"}});
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["xe.gt0.throttle.pl1"].value, 1);
+  EXPECT_EQ(readings["xe.gt0.throttle.soc_avg_thermal"].value, 1);
+  EXPECT_EQ(readings["xe.gt0.throttle.psys_crit"].status, PollStatus::ok);
+  EXPECT_EQ(readings["xe.gt0.throttle.psys_crit"].value, 0);
+  EXPECT_EQ(readings["xe.gt0.throttle.other"].value, 0);
+}
+
+TEST(Xe, DoesNotTakeNoiseForAListOfReasons) {
+  const Tree tree{{card + "device/uevent", "DRIVER=xe\n"},
+                  {xe_freq + "act_freq", "1000\n"},
+                  {xe_freq + "throttle/reasons", "none\n"}};
+  const Discovery found = find(tree.root(), "xe");
+  for (const std::string& text :
+       {std::string(), std::string("\x01\xff pl1\n"), std::string(5000, 'x')}) {
+    tree.write({{xe_freq + "throttle/reasons", text}});
+    EXPECT_EQ(poll_all(found)["xe.gt0.throttle.pl1"].status, PollStatus::retry);
+    EXPECT_EQ(names_of(find(tree.root(), "xe")), std::vector<std::string>{"xe.gt0.act_freq"});
+  }
+}
+
+TEST(Xe, FindsTheGtsOfEveryTileAndIgnoresWhatOnlyLooksLikeOne) {
+  const Tree tree{{card + "device/uevent", "DRIVER=xe\n"},
+                  {card + "device/tile0/gt0/freq0/act_freq", "1\n"},
+                  {card + "device/tile1/gt1/freq0/act_freq", "2\n"},
+                  {card + "device/tile1/gtidle/freq0/act_freq", "3\n"},
+                  {card + "device/tiles/gt2/freq0/act_freq", "4\n"}};
+  EXPECT_THAT(names_of(find(tree.root(), "xe")), ElementsAre("xe.gt0.act_freq", "xe.gt1.act_freq"));
 }
 
 TEST(Xe, TakesReasonFilesWhereThereIsNoListAndGtsWithoutATile) {
