@@ -52,7 +52,10 @@ bool is_slow(std::string_view chip) {
                      [&](std::string_view name) { return chip.starts_with(name); });
 }
 
-int64_t period_of(std::string_view chip) { return is_slow(chip) ? ns_per_s : 100 * ns_per_ms; }
+int64_t period_of(std::string_view chip) {
+  if (chip == "acpitz") return 5 * ns_per_s;  // the thermal zone again: firmware code at every read
+  return is_slow(chip) ? ns_per_s : 100 * ns_per_ms;
+}
 
 // Drivers of GPUs: what their chips say belongs to the GPU.
 constexpr std::array<std::string_view, 8> gpu_chips{"amdgpu", "i915",     "xe",      "nouveau",
@@ -268,7 +271,7 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
     discovery.missing.push_back(
         {"hwmon",
          fmt::format("'{}' ({}) has no temperature, power, energy or clock to read",
-                     root.display(chip.path), chip.name),
+                     root.display(chip.path), shown(chip.name)),
          ""});
 }
 
