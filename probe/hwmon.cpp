@@ -74,6 +74,7 @@ bool is_costly(std::string_view chip) {
 
 // coretemp answers from memory, anew once a second.
 int64_t period_of(std::string_view chip) {
+  if (chip == "acpitz") return 5 * ns_per_s;  // the thermal zone again: firmware code at every read
   return is_costly(chip) || chip == "coretemp" ? ns_per_s : 100 * ns_per_ms;
 }
 
@@ -404,7 +405,7 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
     discovery.missing.push_back(
         {"hwmon",
          fmt::format("'{}' ({}) has no temperature, power, energy or clock to read",
-                     root.display(chip.path), chip.name),
+                     root.display(chip.path), shown(chip.name)),
          ""});
 }
 

@@ -33,7 +33,19 @@ std::string slug(std::string_view text) {
       gap = true;
     }
   }
+  constexpr size_t longest = 64;
+  if (result.size() > longest) result.resize(longest);
+  if (result.ends_with('_')) result.pop_back();
   return result.empty() ? "unnamed" : result;
+}
+
+std::string shown(std::string_view text) {
+  constexpr size_t longest = 60;
+  std::string line(text.substr(0, std::min(text.find('\n'), longest + 1)));
+  for (char& c : line)
+    if (c < ' ' || c > '~') c = '?';
+  if (line.size() > longest) line.replace(longest, std::string::npos, "...");
+  return line;
 }
 
 bool natural_less(std::string_view a, std::string_view b) {

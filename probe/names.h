@@ -7,8 +7,12 @@
 namespace energyprof::probe {
 
 /// "Package id 0" -> "package_id_0": lower case; letters, digits, '-', ':' and '@' stay, every run
-/// of others becomes one '_', none at the ends. "unnamed" if nothing is left.
+/// of others becomes one '_', none at the ends; at most 64. "unnamed" if nothing is left.
 std::string slug(std::string_view text);
+
+/// What a file holds, as it may stand in a message: the first line, at most 60 characters of it,
+/// with '?' for what cannot be printed.
+std::string shown(std::string_view text);
 
 /// Whether `a` sorts before `b` when runs of digits compare as numbers: "cpu2" before "cpu12".
 bool natural_less(std::string_view a, std::string_view b);

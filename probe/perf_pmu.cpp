@@ -233,7 +233,7 @@ std::optional<ChannelPlan> plan_event(const Root& root, const Pmu& pmu, std::str
   if (end == scale_text.c_str() || !(scale > 0) || !std::isfinite(scale)) {
     discovery.missing.push_back({std::string(source),
                                  fmt::format("'{}.scale' holds '{}', which is no positive number",
-                                             root.display(path), scale_text.substr(0, 64)),
+                                             root.display(path), shown(scale_text)),
                                  ""});
     return std::nullopt;
   }

@@ -13,6 +13,7 @@
 #include <utility>
 
 #include "core/clock.h"
+#include "probe/names.h"
 
 namespace energyprof::probe {
 namespace {
@@ -161,8 +162,8 @@ CheckedFile check_int_file(const Root& root, std::string_view path) {
     checked.problem =
         fmt::format("'{}' holds {}, more than 63 bits can", checked.file.path(), text);
   else
-    checked.problem = fmt::format("'{}' holds '{}', which is no integer", checked.file.path(),
-                                  text.substr(0, text.find('\n')));
+    checked.problem =
+        fmt::format("'{}' holds '{}', which is no integer", checked.file.path(), shown(text));
   return checked;
 }
 

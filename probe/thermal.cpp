@@ -117,12 +117,12 @@ Missing explain(const Root& root, const Device& zone, const CheckedFile& temp) {
   Missing missing{"thermal", {}, {}};
   if (zone.type == "INT3400 Thermal")
     missing.reason = fmt::format("'{}' ({}) is a policy, not a sensor: its reading is a constant",
-                                 temp.file.path(), zone.type);
+                                 temp.file.path(), shown(zone.type));
   else if (!temp.problem.empty())
     missing.reason = temp.problem;
   else if (temp.value && !is_measured(*temp.value))
     missing.reason = fmt::format("'{}' ({}) reads {} C: it is not measuring", temp.file.path(),
-                                 zone.type, static_cast<double>(*temp.value) / 1000.0);
+                                 shown(zone.type), static_cast<double>(*temp.value) / 1000.0);
   else
     return missing;
   if (is_disabled(root, zone)) {

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <chrono>
 #include <random>
 #include <set>
@@ -90,6 +91,10 @@ std::vector<std::string> names_with_values(const Discovery& found) {
   return names;
 }
 
+bool is_printable(const std::string& text) {
+  return std::all_of(text.begin(), text.end(), [](char c) { return c >= ' ' && c <= '~'; });
+}
+
 class HostileTree : public testing::TestWithParam<std::tuple<std::string, size_t>> {};
 
 TEST_P(HostileTree, GivesReasonsInsteadOfValues) {
@@ -107,6 +112,7 @@ TEST_P(HostileTree, GivesReasonsInsteadOfValues) {
     for (const Missing& missing : found.missing) {
       heard_of.insert(missing.source);
       EXPECT_NE(missing.reason, "") << missing.source;
+      EXPECT_TRUE(is_printable(missing.reason)) << missing.source;
       EXPECT_LT(missing.reason.size(), 1000u) << missing.source;
     }
     for (const std::string& name : source_names()) EXPECT_THAT(heard_of, Contains(name));

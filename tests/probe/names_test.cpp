@@ -19,6 +19,25 @@ TEST(Slug, KeepsWhatDistinguishesAndDropsTheRest) {
   EXPECT_EQ(slug("\xC2\xB0"), "unnamed");
 }
 
+TEST(Slug, IsNeverLong) {
+  EXPECT_EQ(slug(std::string(100'000, 'x')), std::string(64, 'x'));
+  EXPECT_EQ(slug(std::string(63, 'x') + " y"), std::string(63, 'x'));
+}
+
+TEST(Shown, IsOneShortPrintableLine) {
+  EXPECT_EQ(shown("fast\nfaster\n"), "fast");
+  EXPECT_EQ(shown(std::string_view("a\0\xff\tb", 5)), "a???b");
+  EXPECT_EQ(shown(std::string(60, 'x')), std::string(60, 'x'));
+  EXPECT_EQ(shown(std::string(61, 'x')), std::string(60, 'x') + "...");
+  EXPECT_EQ(shown(""), "");
+}
+
+TEST(Numbered, IsAPrefixAndDigits) {
+  EXPECT_TRUE(is_numbered("cpu12", "cpu"));
+  for (const char* text : {"cpu", "cpu1x", "cpufreq", "xcpu1", "", "cp"})
+    EXPECT_FALSE(is_numbered(text, "cpu")) << text;
+}
+
 RC_GTEST_PROP(Slug, IsStableAndFitsADottedName, (const std::string& text)) {
   const std::string once = slug(text);
   RC_ASSERT(!once.empty());
