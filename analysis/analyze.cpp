@@ -13,8 +13,8 @@
 #include <utility>
 
 #include "analysis/format.h"
+#include "analysis/report_text.h"
 #include "analysis/run_facts.h"
-#include "analysis/series.h"
 
 namespace energyprof::analysis {
 namespace {
@@ -441,69 +441,10 @@ std::vector<Structure> list_structures(const RunRecord& run) {
   return structures;
 }
 
-std::string sensor_status(const SensorSummary& sensor, bool went_away) {
-  if (sensor.sample_count == 0) return "no samples";
-  if (went_away) return "went away";
-  return sensor.update_count == 0 ? "constant" : "ok";
-}
-
-SensorSummary summarize(const Channel& channel, const SampleSeries* series, bool went_away,
-                        std::vector<std::string>& warnings) {
-  SensorSummary sensor;
-  sensor.channel = channel;
-  sensor.unit = stored_unit(channel);
-  if (series && !series->value.empty()) {
-    const Cadence pace = cadence(*series);
-    const auto [low, high] = std::minmax_element(series->value.begin(), series->value.end());
-    sensor.sample_count = static_cast<int64_t>(series->value.size());
-    sensor.update_count = static_cast<int64_t>(pace.update_count);
-    sensor.poll_ns = pace.poll_ns;
-    sensor.update_ns = pace.update_ns;
-    sensor.min = *low;
-    sensor.median = median(series->value);
-    sensor.max = *high;
-  }
-  if (channel.kind == Kind::cumulative && series != nullptr && sensor.sample_count > 1) {
-    const Unwrapped total = unwrap(channel, *series);
-    sensor.increase = total.value.back();
-    if (!total.resets.empty())
-      warnings.push_back(
-          fmt::format("{} started anew {}: steps that no wrap explains, or no such sensor can take "
-                      "in the time, count as nothing.",
-                      channel.name, counted(total.resets.size(), "time")));
-    if (!total.gaps.empty())
-      warnings.push_back(
-          fmt::format("{} may have wrapped more than once in {}: they count as nothing.",
-                      channel.name, counted(total.gaps.size(), "gap")));
-  }
-  sensor.status = sensor_status(sensor, went_away);
-  const bool should_move =
-      channel.quantity == Quantity::energy || channel.quantity == Quantity::power;
-  if (should_move && sensor.status == "constant" && sensor.sample_count > 1)
-    warnings.push_back(
-        fmt::format("{} never changed in {}: it says nothing about this run.", channel.name,
-                    counted(static_cast<std::size_t>(sensor.sample_count), "sample")));
-  return sensor;
-}
-
-std::vector<SensorSummary> summarize_sensors(const RunRecord& run,
-                                             std::vector<std::string>& warnings) {
-  std::set<int32_t> gone;
-  for (const Event& event : run.events)
-    if (event.kind == "sensor-gone" && event.channel_id) gone.insert(*event.channel_id);
-  std::vector<SensorSummary> sensors;
-  for (const Channel& channel : run.channels) {
-    const auto series = run.series.find(channel.id);
-    sensors.push_back(summarize(channel, series == run.series.end() ? nullptr : &series->second,
-                                gone.contains(channel.id), warnings));
-  }
-  return sensors;
-}
-
 std::vector<EnergyRow> energy_rows(const Analysis& analysis, std::vector<std::string>& warnings) {
   const bool recorded = std::any_of(
       analysis.sensors.begin(), analysis.sensors.end(), [](const SensorSummary& sensor) {
-        return sensor.channel.quantity == Quantity::energy && sensor.sample_count > 0;
+        return sensor.channel.quantity == Quantity::energy && sensor.is_usable();
       });
   const std::string refused = recorded ? "energy per frame is not computed by this version"
                                        : "no energy channel was recorded";
@@ -517,6 +458,7 @@ std::vector<EnergyRow> energy_rows(const Analysis& analysis, std::vector<std::st
                          : rows.emplace_back(EnergyRow{cell.algorithm, cell.model, 0, refused});
     row.frame_count += static_cast<int64_t>(cell.frame_ms.size());
   }
+  if (rows.empty()) return rows;
   warnings.push_back(
       "This version computes no energy per frame, no causes of outliers and no correlations: those "
       "fields are empty, which does not mean that nothing was there.");
@@ -534,7 +476,32 @@ void warn_about_sampler(const SamplerCost& cost, std::vector<std::string>& warni
                     100 * missed_ratio));
 }
 
+/// What a recorded program took, in one sentence.
+std::string command_headline(const Analysis& analysis) {
+  const CommandFacts& command = *analysis.run.command;
+  std::string text = command.text;
+  if (command.begin_ns && command.end_ns)
+    text +=
+        fmt::format(" ran for {}",
+                    scaled(static_cast<double>(*command.end_ns - *command.begin_ns) * 1e-9, "s"));
+  if (command.signal)
+    text += fmt::format(" until signal {} ended it", *command.signal);
+  else if (command.exit_code)
+    text += fmt::format(" and exited with {}", *command.exit_code);
+  const std::vector<Reading> rows = readings(analysis);
+  const auto first = [&](Quantity quantity) {
+    return std::find_if(rows.begin(), rows.end(),
+                        [&](const Reading& row) { return row.quantity == quantity; });
+  };
+  for (const Quantity quantity : {Quantity::energy, Quantity::temperature, Quantity::throttle})
+    if (const auto row = first(quantity); row != rows.end())
+      text += fmt::format("; {}: {}", row->channel, row->text);
+  if (first(Quantity::energy) == rows.end()) text += "; no energy can be sensed here";
+  return text + '.';
+}
+
 std::string headline(const Analysis& analysis) {
+  if (analysis.run.command) return command_headline(analysis);
   if (analysis.ranking.empty()) {
     if (!analysis.cells.empty()) return "Frames were timed, but nothing can be ranked.";
     const auto with_samples =
@@ -582,7 +549,8 @@ Analysis analyze(const RunRecord& run) {
   analysis.outliers = find_outliers(run, analysis.cells);
   analysis.ranking = rank(analysis.cells, analysis.score, warnings);
   analysis.structures = list_structures(run);
-  analysis.sensors = summarize_sensors(run, warnings);
+  analysis.sensors = summarize_sensors(run, !is_cpu_device(analysis.run), warnings);
+  analysis.sampler.self_check = self_check(run, analysis.sensors);
   warn_about_sampler(analysis.sampler, warnings);
   analysis.energy = energy_rows(analysis, warnings);
   analysis.headline = headline(analysis);

@@ -7,6 +7,8 @@
 #include <string>
 #include <vector>
 
+#include "analysis/self_check.h"
+#include "analysis/sensor_summary.h"
 #include "analysis/stats.h"
 #include "core/record.h"
 
@@ -26,6 +28,15 @@ struct Flag {
   std::string text;   ///< what it means for the numbers
 };
 
+/// A program that ran beside the sensors instead of a study.
+struct CommandFacts {
+  std::string text;  ///< its words, separated by spaces
+  std::optional<int64_t> begin_ns;
+  std::optional<int64_t> end_ns;
+  std::optional<int64_t> exit_code;  ///< 128 + the signal if one killed it
+  std::optional<int64_t> signal;     ///< that signal
+};
+
 /// What the run was.
 struct RunFacts {
   std::optional<std::string> name;
@@ -42,6 +53,7 @@ struct RunFacts {
   int64_t begin_ns = 0;  ///< meta begin_ns, else the smallest time recorded
   int64_t end_ns = 0;    ///< meta end_ns, else the largest time recorded
   Ending ending = Ending::complete;
+  std::optional<CommandFacts> command;  ///< absent: a study
   bool simulated = false;
   bool quick = false;
   nlohmann::json config;  ///< null when unknown, as the next two
@@ -134,19 +146,6 @@ struct Structure {
   std::optional<double> sah_cost;
 };
 
-/// What one channel delivered.
-struct SensorSummary {
-  Channel channel;
-  std::string unit;  ///< of the values below, as stored
-  int64_t sample_count = 0;
-  int64_t update_count = 0;                ///< samples that differ from the one before
-  std::optional<int64_t> poll_ns;          ///< median time between samples
-  std::optional<int64_t> update_ns;        ///< median time between changes
-  std::optional<double> min, median, max;  ///< of the values as read
-  std::optional<double> increase;          ///< cumulative channels: over the run, wraps undone
-  std::string status;                      ///< "ok", "constant", "no samples", "went away"
-};
-
 /// A sensor that could not be read, and what would change that.
 struct MissingSensor {
   std::string source;
@@ -174,7 +173,12 @@ struct SamplerCost {
   std::optional<double> core_ratio;  ///< CPU time / duration of the run: share of one core
   std::optional<int64_t> tick_count;
   std::optional<int64_t> missed_tick_count;
+  std::optional<int64_t> lost_sample_count;
+  std::optional<int64_t> lateness_p50_ns;
   std::optional<int64_t> lateness_p99_ns;
+  std::optional<int64_t> lateness_max_ns;
+  std::optional<std::string> scheduling;  ///< in words
+  std::optional<SelfCheck> self_check;    ///< absent where nothing was traced for it
 };
 
 /// Everything the reports say.

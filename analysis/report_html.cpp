@@ -175,6 +175,14 @@ json sensor_rows(const Analysis& analysis) {
   return rows;
 }
 
+json reading_rows(const Analysis& analysis) {
+  json rows = json::array();
+  for (const Reading& row : readings(analysis))
+    rows.push_back(
+        {{"quantity", to_string(row.quantity)}, {"channel", row.channel}, {"text", row.text}});
+  return rows;
+}
+
 json image_list(const std::vector<ReportImage>& images, std::size_t& left_out_count) {
   json list = json::array();
   std::size_t total_bytes = 0;
@@ -204,6 +212,7 @@ json page_data(const RunRecord& run, const Analysis& analysis,
   data["frames"] = frame_points(run, analysis);
   std::tie(data["tracks"], data["not_drawn"]) = sensor_tracks(run, analysis);
   data["sensor_rows"] = sensor_rows(analysis);
+  data["readings"] = reading_rows(analysis);
   data["sampler"] = sampler_text(analysis.sampler);
   data["score_text"] = score_text(analysis);
   data["duration"] = duration_text(analysis.run.end_ns - analysis.run.begin_ns);

@@ -25,6 +25,15 @@ json estimate(std::optional<double> value, const std::optional<Interval>& interv
           {"high", interval ? json(interval->high) : json(nullptr)}};
 }
 
+json command_json(const std::optional<CommandFacts>& command) {
+  if (!command) return nullptr;
+  return {{"text", command->text},
+          {"begin_ns", or_null(command->begin_ns)},
+          {"end_ns", or_null(command->end_ns)},
+          {"exit_code", or_null(command->exit_code)},
+          {"signal", or_null(command->signal)}};
+}
+
 json run_json(const RunRecord& run, const Analysis& analysis) {
   const RunFacts& facts = analysis.run;
   json flags = json::array();
@@ -49,6 +58,7 @@ json run_json(const RunRecord& run, const Analysis& analysis) {
           {"driver", or_null(facts.driver)},
           {"clock_method", or_null(facts.clock_method)},
           {"run_schema_version", or_null(facts.schema_version)},
+          {"command", command_json(facts.command)},
           {"trials", run.trials.size()},
           {"frames", run.frames.size()},
           {"host", facts.host},
@@ -71,7 +81,20 @@ json sensor_json(const SensorSummary& sensor) {
           {"min", or_null(sensor.min)},
           {"median", or_null(sensor.median)},
           {"max", or_null(sensor.max)},
+          {"mean", or_null(sensor.mean)},
+          {"active_ratio", or_null(sensor.active_ratio)},
           {"increase", or_null(sensor.increase)},
+          {"increase_error_j", or_null(sensor.increase_error_j)},
+          {"mean_rate", or_null(sensor.mean_rate)},
+          {"silences", sensor.silence_count},
+          {"longest_silence_ns", or_null(sensor.longest_silence_ns)},
+          {"wide_reads", sensor.wide_read_count},
+          {"widest_read_ns", or_null(sensor.widest_read_ns)},
+          {"limit", or_null(channel.limit)},
+          {"read_cost_p99_ns", or_null(channel.read_cost_p99_ns)},
+          {"quantum", or_null(channel.quantum)},
+          {"wakes_device", channel.wakes_device},
+          {"gpu", text_or_null(channel.gpu)},
           {"status", sensor.status},
           {"origin", text_or_null(channel.origin)}};
 }
@@ -179,12 +202,36 @@ json event_json(const Event& event, int64_t begin_ns) {
           {"text", event.text}};
 }
 
+json on_off_json(const std::optional<OnOffDifference>& difference) {
+  if (!difference) return nullptr;
+  return {{"value", difference->value},
+          {"low", difference->interval.low},
+          {"high", difference->interval.high}};
+}
+
+json self_check_json(const std::optional<SelfCheck>& check) {
+  if (!check) return nullptr;
+  json watts = on_off_json(check->power_w);
+  if (watts.is_object()) watts["channel"] = check->power_channel;
+  return {{"difference_pct", on_off_json(check->frame_time_percent)},
+          {"watts", std::move(watts)},
+          {"rounds", check->round_count},
+          {"blocks", check->block_count},
+          {"frames", check->frame_count},
+          {"note", check->note}};
+}
+
 json sampler_json(const SamplerCost& cost) {
   return {{"cpu_ns", or_null(cost.cpu_ns)},
           {"core_ratio", or_null(cost.core_ratio)},
           {"ticks", or_null(cost.tick_count)},
           {"missed_ticks", or_null(cost.missed_tick_count)},
-          {"lateness_p99_ns", or_null(cost.lateness_p99_ns)}};
+          {"lost_samples", or_null(cost.lost_sample_count)},
+          {"lateness_p50_ns", or_null(cost.lateness_p50_ns)},
+          {"lateness_p99_ns", or_null(cost.lateness_p99_ns)},
+          {"lateness_max_ns", or_null(cost.lateness_max_ns)},
+          {"scheduling", or_null(cost.scheduling)},
+          {"self_check", self_check_json(cost.self_check)}};
 }
 
 /// One object per element, as `convert` makes it.

@@ -122,8 +122,12 @@ void write_top(Page& page, const RunRecord& run, const Analysis& analysis) {
   if (facts.verdict) page.line("{}\n", escaped(*facts.verdict));
   if (facts.question) page.line("Question: {}\n", escaped(*facts.question));
   page.table({"", ""});
-  page.row({"device", member(facts.device, "name")});
-  page.row({"driver", facts.driver ? text(facts.driver) : member(facts.device, "driver")});
+  if (facts.command) {
+    page.row({"command", escaped(facts.command->text)});
+  } else {
+    page.row({"device", member(facts.device, "name")});
+    page.row({"driver", facts.driver ? text(facts.driver) : member(facts.device, "driver")});
+  }
   page.row({"CPU", member(facts.host, "cpu")});
   page.row({"kernel", member(facts.host, "kernel")});
   page.row({"begin", text(facts.begin_utc)});
@@ -265,12 +269,21 @@ void write_energy(Page& page, const Analysis& analysis) {
               "refused: " + escaped(row.refused)});
 }
 
+void write_readings(Page& page, const Analysis& analysis) {
+  page.heading("What the sensors showed");
+  const std::vector<Reading> rows = readings(analysis);
+  if (rows.empty()) return page.line("No sensor delivered samples.");
+  page.table({"quantity", "channel", "over the run (min / mean / max)"});
+  for (const Reading& row : rows)
+    page.row({std::string(to_string(row.quantity)), escaped(row.channel), escaped(row.text)});
+}
+
 void write_sensors(Page& page, const Analysis& analysis) {
   page.heading("Sensors");
   if (analysis.sensors.empty()) page.line("No sensor was recorded.");
   if (!analysis.sensors.empty())
     page.table({"channel", "quantity", "unit", ">samples", ">updates", ">polled every",
-                ">one read costs", "min / median / max", "status"});
+                ">one read costs", "min / mean / max", "status"});
   for (const SensorSummary& sensor : analysis.sensors)
     page.row({escaped(sensor.channel.name), std::string(to_string(sensor.channel.quantity)),
               escaped(sensor.unit), fmt::format("{}", sensor.sample_count),
@@ -293,7 +306,7 @@ void write_cost(Page& page, const SamplerCost& cost) {
   page.heading("Cost of measuring");
   const auto lines = sampler_text(cost);
   if (lines.empty()) page.line("Not recorded.");
-  for (const std::string& line : lines) page.line("- {}", line);
+  for (const std::string& line : lines) page.line("- {}", escaped(line));
 }
 
 void write_notes(Page& page, const Analysis& analysis) {
@@ -302,8 +315,9 @@ void write_notes(Page& page, const Analysis& analysis) {
   if (analysis.events.empty()) return;
   page.heading("Events");
   std::vector<Event> events;
-  std::copy_if(analysis.events.begin(), analysis.events.end(), std::back_inserter(events),
-               [](const Event& event) { return event.kind != "idle"; });
+  std::copy_if(
+      analysis.events.begin(), analysis.events.end(), std::back_inserter(events),
+      [](const Event& event) { return event.kind != "idle" && event.kind != "sampler-off"; });
   if (const std::string idle = idle_text(analysis); !idle.empty()) page.line("{}\n", idle);
   if (events.empty()) return;
   page.table({">time \\[s\\]", "severity", "kind", "text"});
@@ -320,13 +334,17 @@ std::string report_md(const RunRecord& run, const Analysis& analysis,
                       const std::vector<std::string>& image_files) {
   Page page;
   write_top(page, run, analysis);
-  write_ranking(page, analysis);
-  write_cells(page, analysis);
-  write_work(page, analysis);
-  write_structures(page, analysis);
-  write_outliers(page, run, analysis);
-  write_energy(page, analysis);
-  write_pictures(page, image_files);
+  if (analysis.run.command) {
+    write_readings(page, analysis);
+  } else {
+    write_ranking(page, analysis);
+    write_cells(page, analysis);
+    write_work(page, analysis);
+    write_structures(page, analysis);
+    write_outliers(page, run, analysis);
+    write_energy(page, analysis);
+    write_pictures(page, image_files);
+  }
   write_sensors(page, analysis);
   write_cost(page, analysis.sampler);
   write_notes(page, analysis);

@@ -2,6 +2,11 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <map>
+#include <string_view>
+#include <utility>
+
 #include "analysis/format.h"
 
 namespace energyprof::analysis {
@@ -10,13 +15,58 @@ std::string duration_text(std::optional<int64_t> duration_ns) {
   return duration_ns ? scaled(static_cast<double>(*duration_ns) * 1e-9, "s") : "unknown";
 }
 
+namespace {
+
+std::string percent(double ratio) { return fmt::format("{:.3g} %", 100 * ratio); }
+
+std::string counter_text(const SensorSummary& sensor) {
+  if (sensor.update_count == 0) return "never moved";
+  std::string text = scaled_stored(*sensor.increase, sensor.unit);
+  if (sensor.increase_error_j) text += " ± " + scaled(*sensor.increase_error_j, "J");
+  if (!sensor.mean_rate) return text;
+  const std::string_view si = unit_info(sensor.channel.unit).si;
+  if (si == "J") return fmt::format("{}, {} on average", text, scaled(*sensor.mean_rate, "W"));
+  if (si == "s") return fmt::format("{}, {} of the time", text, percent(*sensor.mean_rate));
+  if (si == "B" || sensor.channel.unit == Unit::count)
+    return fmt::format("{}, {}", text, scaled(*sensor.mean_rate, si == "B" ? "B/s" : "per s"));
+  return text;
+}
+
+std::string on_off_text(const OnOffDifference& difference, const char* unit) {
+  const auto& [low, high] = difference.interval;
+  return fmt::format("{:+.2f} {} (95 %: {:+.2f} to {:+.2f}){}", difference.value, unit, low, high,
+                     low <= 0 && high >= 0 ? ": no difference can be told" : "");
+}
+
+}  // namespace
+
 std::string values_text(const SensorSummary& sensor) {
-  if (sensor.increase) return "rose by " + scaled_stored(*sensor.increase, sensor.unit);
+  if (sensor.status == never_moved) return "-";
+  if (sensor.increase) return counter_text(sensor);
+  if (sensor.active_ratio) {
+    if (*sensor.active_ratio == 0) return *sensor.max == 0 ? "never set" : "set at the very end";
+    if (*sensor.active_ratio == 1) return "always set";
+    return fmt::format("set {} of the time", percent(*sensor.active_ratio));
+  }
   if (!sensor.median) return "-";
   const std::string low = scaled_stored(*sensor.min, sensor.unit);
   if (*sensor.min == *sensor.max) return "always " + low;
-  return fmt::format("{} / {} / {}", low, scaled_stored(*sensor.median, sensor.unit),
+  return fmt::format("{} / {} / {}", low,
+                     scaled_stored(sensor.mean.value_or(*sensor.median), sensor.unit),
                      scaled_stored(*sensor.max, sensor.unit));
+}
+
+std::vector<std::string> self_check_text(const SelfCheck& check) {
+  if (!check.frame_time_percent)
+    return {fmt::format("What sampling does to frames cannot be told: {}.", check.note)};
+  std::vector<std::string> lines{
+      fmt::format("Frame time with the sampler on, against off: {}. {}, {}.",
+                  on_off_text(*check.frame_time_percent, "%"),
+                  counted(static_cast<std::size_t>(check.frame_count), "frame"), check.note)};
+  if (check.power_w)
+    lines.push_back(fmt::format("Power by {} with the sampler on, against off: {}.",
+                                check.power_channel, on_off_text(*check.power_w, "W")));
+  return lines;
 }
 
 std::vector<std::string> sampler_text(const SamplerCost& cost) {
@@ -25,13 +75,69 @@ std::vector<std::string> sampler_text(const SamplerCost& cost) {
     lines.push_back(fmt::format(
         "The sampler used {} of CPU time{}.", duration_text(cost.cpu_ns),
         cost.core_ratio ? fmt::format(", {:.2f} % of one core", 100 * *cost.core_ratio) : ""));
+  if (cost.scheduling) lines.push_back(fmt::format("It ran under {}.", *cost.scheduling));
   if (cost.tick_count && cost.missed_tick_count)
     lines.push_back(
         fmt::format("Of {} ticks it missed {}.", *cost.tick_count, *cost.missed_tick_count));
-  if (cost.lateness_p99_ns)
+  if (cost.lost_sample_count.value_or(0) > 0)
+    lines.push_back(
+        fmt::format("{} were lost: the recorder did not keep up.",
+                    counted(static_cast<std::size_t>(*cost.lost_sample_count), "sample")));
+  if (cost.lateness_p50_ns && cost.lateness_p99_ns)
+    lines.push_back(fmt::format(
+        "Half of its ticks came no later than {} after their time, 99 % no later than {}.",
+        duration_text(cost.lateness_p50_ns), duration_text(cost.lateness_p99_ns)));
+  else if (cost.lateness_p99_ns)
     lines.push_back(fmt::format("99 % of its ticks came no later than {} after their time.",
                                 duration_text(cost.lateness_p99_ns)));
+  if (cost.self_check)
+    for (std::string& line : self_check_text(*cost.self_check)) lines.push_back(std::move(line));
   return lines;
+}
+
+namespace {
+
+/// Whether a sensor has something to say: a counter if it moved, throttling if there was any.
+bool speaks(const SensorSummary& sensor) {
+  if (!sensor.is_usable() || sensor.channel.quantity == Quantity::limit) return false;
+  if (sensor.increase) return *sensor.increase > 0;
+  return sensor.channel.quantity != Quantity::throttle || *sensor.max > 0;
+}
+
+}  // namespace
+
+std::vector<Reading> readings(const Analysis& analysis) {
+  constexpr std::size_t most_lines = 8;
+  std::map<Quantity, std::vector<const SensorSummary*>> speakers;
+  std::map<Quantity, std::size_t> silent_count;
+  for (const SensorSummary& sensor : analysis.sensors) {
+    if (speaks(sensor))
+      speakers[sensor.channel.quantity].push_back(&sensor);
+    else if (sensor.is_usable())
+      ++silent_count[sensor.channel.quantity];
+  }
+  std::vector<const SensorSummary*>& temperatures = speakers[Quantity::temperature];
+  std::stable_sort(temperatures.begin(), temperatures.end(),
+                   [](const SensorSummary* a, const SensorSummary* b) {
+                     const auto highest = [](const SensorSummary* sensor) {
+                       return *sensor->max * unit_info(sensor->channel.unit).to_si;
+                     };
+                     return highest(a) > highest(b);
+                   });
+  std::vector<Reading> rows;
+  for (const auto& [quantity, sensors] : speakers) {
+    for (std::size_t i = 0; i < std::min(sensors.size(), most_lines); ++i)
+      rows.push_back({quantity, sensors[i]->channel.name, values_text(*sensors[i])});
+    if (sensors.size() > most_lines)
+      rows.push_back({quantity, counted(sensors.size() - most_lines, "more channel"),
+                      "in the table of sensors"});
+  }
+  if (const auto count = silent_count[Quantity::energy]; count > 0)
+    rows.push_back({Quantity::energy, counted(count, "energy counter"), "never moved"});
+  if (const auto count = silent_count[Quantity::throttle]; count > 0)
+    rows.push_back(
+        {Quantity::throttle, counted(count, "throttle channel"), "showed no throttling"});
+  return rows;
 }
 
 namespace {

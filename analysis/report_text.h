@@ -12,12 +12,26 @@ namespace energyprof::analysis {
 /// "3.10 ms", or "unknown".
 std::string duration_text(std::optional<int64_t> duration_ns);
 
-/// What a channel read: "rose by 34.1 J" or "1.20 GHz / 2.10 GHz / 2.40 GHz" (min / median / max);
-/// "-" without samples.
+/// What a channel read: "34.1 J ± 10.0 mJ, 12.3 W on average" of a counter, "set 12 % of the time"
+/// of a flag, else "1.20 GHz / 2.10 GHz / 2.40 GHz" (min / mean / max); "-" without samples.
 std::string values_text(const SensorSummary& sensor);
 
 /// One sentence per known number of `cost`; empty when nothing is known.
 std::vector<std::string> sampler_text(const SamplerCost& cost);
+
+/// What sampling does to frames, in sentences; empty where it was not measured.
+std::vector<std::string> self_check_text(const SelfCheck& check);
+
+/// One line about what a sensor showed.
+struct Reading {
+  Quantity quantity = Quantity::energy;
+  std::string channel;  ///< its name, or how many channels the line is about
+  std::string text;
+};
+
+/// What the sensors showed over the run, without limits: the hottest temperatures, the flags that
+/// were set, the counters that moved; at most 8 lines of a quantity and one on what was left out.
+std::vector<Reading> readings(const Analysis& analysis);
 
 /// Which caches the modelled numbers are of, and where their sizes come from; empty where nothing
 /// was modelled.

@@ -62,6 +62,19 @@ std::string text_member(const nlohmann::json& object, const char* key) {
   return found != object.end() && found->is_string() ? found->get<std::string>() : std::string();
 }
 
+/// The recorded command; nullopt for a study.
+std::optional<CommandFacts> read_command(const Meta& meta) {
+  const auto text = meta.text("command");
+  if (!text) return std::nullopt;
+  CommandFacts command;
+  command.text = *text;
+  command.begin_ns = meta.integer("command_begin_ns");
+  command.end_ns = meta.integer("command_end_ns");
+  command.exit_code = meta.integer("command_exit_code");
+  command.signal = meta.integer("command_signal");
+  return command;
+}
+
 std::optional<std::string> optional_text(std::string text) {
   if (text.empty()) return std::nullopt;
   return text;
@@ -138,6 +151,7 @@ RunFacts read_facts(const RunRecord& run, std::vector<std::string>& warnings) {
   facts.schema_version = meta.integer("schema_version");
   facts.simulated = meta.flag("simulated");
   facts.quick = meta.flag("quick");
+  facts.command = read_command(meta);
 
   const auto [first_ns, last_ns] = time_range(run);
   const auto end_ns = meta.integer("end_ns");
@@ -147,6 +161,13 @@ RunFacts read_facts(const RunRecord& run, std::vector<std::string>& warnings) {
                  : end_ns                 ? Ending::complete
                                           : Ending::unfinished;
   return facts;
+}
+
+bool is_cpu_device(const RunFacts& facts) {
+  std::string type = text_member(facts.device, "type");
+  std::transform(type.begin(), type.end(), type.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return type == "cpu";
 }
 
 std::vector<Flag> read_flags(const RunFacts& facts) {
@@ -167,10 +188,7 @@ std::vector<Flag> read_flags(const RunFacts& facts) {
         {"UNFINISHED",
          "No end is recorded: the run was killed, or its writer records none. Up to the "
          "last second may be missing."});
-  std::string type = text_member(facts.device, "type");
-  std::transform(type.begin(), type.end(), type.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  if (type == "cpu")
+  if (is_cpu_device(facts))
     flags.push_back({"NOT A GPU",
                      "The device is a CPU that runs Vulkan in software: times compare the "
                      "algorithms on it, and say nothing about a GPU."});
@@ -214,7 +232,11 @@ SamplerCost read_sampler_cost(const RunRecord& run, const RunFacts& facts,
   cost.cpu_ns = meta.integer("sampler_cpu_ns");
   cost.tick_count = meta.integer("sampler_ticks");
   cost.missed_tick_count = meta.integer("sampler_missed_ticks");
+  cost.lost_sample_count = meta.integer("sampler_lost_samples");
+  cost.lateness_p50_ns = meta.integer("sampler_lateness_p50_ns");
   cost.lateness_p99_ns = meta.integer("sampler_lateness_p99_ns");
+  cost.lateness_max_ns = meta.integer("sampler_lateness_max_ns");
+  cost.scheduling = meta.text("sampler_scheduling");
   if (cost.cpu_ns && facts.end_ns > facts.begin_ns)
     cost.core_ratio =
         static_cast<double>(*cost.cpu_ns) / static_cast<double>(facts.end_ns - facts.begin_ns);

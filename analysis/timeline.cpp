@@ -160,6 +160,16 @@ void write_trials(const RunRecord& run, const Range& range, Writer& writer) {
   }
 }
 
+void write_command(const RunFacts& facts, const Range& range, Writer& writer) {
+  if (!facts.command) return;
+  json args = json::object();
+  put(args, "exit_code", facts.command->exit_code);
+  put(args, "signal", facts.command->signal);
+  writer.slice(trials_tid, facts.command->text, "command",
+               facts.command->begin_ns.value_or(range.begin_ns),
+               facts.command->end_ns.value_or(range.end_ns), args);
+}
+
 json frame_args(const FrameRecord& frame) {
   json args{{"frame_id", frame.id},
             {"trial_id", frame.trial_id},
@@ -272,10 +282,11 @@ void write_timeline(const RunRecord& run, std::ostream& out, const TimelineConfi
   const Range range = time_range(run, facts);
   Writer writer(out, range.begin_ns);
   writer.name_process(work_pid, "work", work_pid);
-  writer.name_thread(work_pid, trials_tid, "trials");
+  writer.name_thread(work_pid, trials_tid, facts.command ? "command" : "trials");
   writer.name_thread(work_pid, frames_tid, "frames");
   writer.name_thread(work_pid, events_tid, "events");
   write_trials(run, range, writer);
+  write_command(facts, range, writer);
   write_frames(run, writer);
   write_events(run, writer);
   write_channels(run, config, writer);

@@ -3,11 +3,14 @@
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <cstdio>
 #include <exception>
 #include <functional>
 #include <new>
+#include <string_view>
 
+#include "app/child.h"
 #include "app/commands.h"
 #include "app/record.h"
 #include "app/usage_error.h"
@@ -44,6 +47,13 @@ class CommandLine {
   }
 
   int run(int argc, char** argv) {
+    // What follows "--" belongs to the recorded program and is taken word by word.
+    if (argc > 1 && argv[1] == std::string_view("record")) {
+      char** const end = argv + argc;
+      char** const mark = std::find(argv, end, std::string_view("--"));
+      if (mark != end) record_.command.assign(mark + 1, end);
+      argc = static_cast<int>(mark - argv);
+    }
     try {
       cli_.parse(argc, argv);
     } catch (const CLI::Success& wanted) {  // --help, --version
@@ -102,7 +112,8 @@ class CommandLine {
   }
 
   void add_record() {
-    CLI::App* command = cli_.add_subcommand("record", "The sensors while any other program runs");
+    CLI::App* command =
+        cli_.add_subcommand("record", "The sensors while any other program runs: record -- CMD");
     command->footer(
         "Example: energyprof record --out runs/vkcube -- vkcube --c 600\n"
         "  leaves run.sqlite, timeline.json and the reports, without frames, and the exit code of\n"
@@ -118,10 +129,11 @@ class CommandLine {
         ->type_name("DIR");
     command->add_flag("--allow-msr", record_.allow_msr, "Read /dev/cpu/*/msr, too");
     command->add_flag("--quiet", record_.quiet, "Say nothing when the program has ended");
-    command->add_option("CMD", record_.command, "The program and its arguments, behind --")
-        ->required();
-    command->positionals_at_end();
-    command->callback([this] { action_ = [this] { return record_command(record_); }; });
+    command->callback([this] {
+      if (record_.command.empty())
+        throw UsageError("record: no program is given; expected -- CMD [ARGS] at the end");
+      action_ = [this] { return record_command(record_); };
+    });
   }
 
   void add_analyze() {
@@ -184,6 +196,8 @@ int main(int argc, char** argv) {
     return CommandLine().run(argc, argv);
   } catch (const UsageError& error) {
     return fail(error.what(), exit_usage);
+  } catch (const CannotRun& error) {
+    return fail(error.what(), error.exit_code);
   } catch (const std::bad_alloc&) {
     return fail("cannot go on: the machine is out of memory. Try a smaller model or image.",
                 exit_failed);

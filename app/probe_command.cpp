@@ -3,10 +3,13 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cctype>
 #include <cstdio>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <tuple>
 
+#include "analysis/format.h"
 #include "app/commands.h"
 #include "core/run_db.h"
 #include "kernels/device.h"
@@ -21,6 +24,7 @@ using nlohmann::json;
 /// A channel and its value now, if it gave one.
 struct ProbedChannel {
   const Channel* channel;
+  bool is_slow;
   std::optional<int64_t> value;
 };
 
@@ -32,7 +36,8 @@ std::vector<ProbedChannel> poll_once(const probe::Discovery& discovery) {
     source->poll(readings);
     for (size_t i = 0; i < channels.size(); ++i) {
       const bool ok = readings[i].status == probe::PollStatus::ok;
-      probed.push_back({&channels[i], ok ? std::optional(readings[i].value) : std::nullopt});
+      probed.push_back({&channels[i], source->traits().slow,
+                        ok ? std::optional(readings[i].value) : std::nullopt});
     }
   }
   std::stable_sort(probed.begin(), probed.end(), [](const auto& a, const auto& b) {
@@ -77,6 +82,8 @@ json channel_json(const ProbedChannel& probed) {
          {"read_cost_p99_ns", or_null(channel.read_cost_p99_ns)},
          {"update_period_ns", or_null(channel.update_period_ns)},
          {"quantum", or_null(channel.quantum)},
+         {"stands_still", channel.stands_still},
+         {"slow", probed.is_slow},
          {"wakes_device", channel.wakes_device},
          {"gpu", channel.gpu.empty() ? json(nullptr) : json(channel.gpu)},
          {"origin", channel.origin}};
@@ -100,79 +107,142 @@ void print_json(const probe::Discovery& discovery, const std::vector<ProbedChann
   fmt::print("{}\n", output.dump(2, ' ', false, json::error_handler_t::replace));
 }
 
-/// A channel's name with every number replaced: channels of the same pattern differ only by core,
-/// CPU or zone.
-std::string pattern_of(const std::string& name) {
+// ------------------------------------------------------------------ text
+
+constexpr size_t page_width = 120;
+constexpr size_t name_width = 42;
+constexpr size_t origin_width = 29;
+// Channels that differ in their numbers only, as those of cores do, are one line from this many on.
+constexpr size_t fewest_to_fold = 4;
+
+/// How many columns the terminal needs for UTF-8 text.
+size_t columns_of(std::string_view text) {
+  return static_cast<size_t>(
+      std::count_if(text.begin(), text.end(), [](char c) { return (c & 0xC0) != 0x80; }));
+}
+
+/// Filled up to `width` columns, on the left if `right`; longer text stays as it is.
+std::string padded(const std::string& text, size_t width, bool right = false) {
+  const std::string fill(width - std::min(width, columns_of(text)), ' ');
+  return right ? fill + text : text + fill;
+}
+
+/// The end of a long path says more than its beginning.
+std::string shortened(const std::string& text, size_t width) {
+  return text.size() <= width ? text : "..." + text.substr(text.size() - (width - 3));
+}
+
+/// `text` in lines of the page, each after the first behind `indent` spaces.
+std::string wrapped(std::string_view text, size_t indent) {
+  std::string result;
+  size_t column = indent;
+  while (!text.empty()) {
+    const size_t end = std::min(text.find(' '), text.size());
+    const std::string_view word = text.substr(0, end);
+    text.remove_prefix(std::min(end + 1, text.size()));
+    if (column > indent && column + 1 + word.size() > page_width) {
+      result += '\n' + std::string(indent, ' ');
+      column = indent;
+    } else if (column > indent) {
+      result += ' ';
+      ++column;
+    }
+    result += word;
+    column += word.size();
+  }
+  return result;
+}
+
+/// "coretemp.core_12.temp" -> "coretemp.core_*.temp"
+std::string without_numbers(std::string_view name) {
   std::string pattern;
-  for (const char c : name) {
-    const bool is_digit = c >= '0' && c <= '9';
-    if (!is_digit)
-      pattern += c;
-    else if (!pattern.ends_with('#'))
-      pattern += '#';
+  for (size_t i = 0; i < name.size(); ++i) {
+    if (std::isdigit(static_cast<unsigned char>(name[i])) == 0)
+      pattern += name[i];
+    else if (pattern.empty() || pattern.back() != '*')
+      pattern += '*';
   }
   return pattern;
 }
 
-/// Lines of the table: channels that differ only by numbers, and in nothing else that is shown.
-std::vector<std::vector<ProbedChannel>> fold(const std::vector<ProbedChannel>& probed, bool all) {
-  constexpr size_t fewest_folded = 4;
-  std::map<std::pair<Quantity, std::string>, std::vector<ProbedChannel>> groups;
-  for (const ProbedChannel& channel : probed)
-    groups[{channel.channel->quantity, pattern_of(channel.channel->name)}].push_back(channel);
-  std::vector<std::vector<ProbedChannel>> lines;
-  for (const ProbedChannel& channel : probed) {
-    auto& group = groups[{channel.channel->quantity, pattern_of(channel.channel->name)}];
-    if (all || group.size() < fewest_folded)
-      lines.push_back({channel});
-    else if (group.front().channel == channel.channel)
-      lines.push_back(group);
+/// One line of the table: a channel, or several that differ in their numbers only.
+using Line = std::vector<const ProbedChannel*>;
+
+std::vector<Line> fold(const std::vector<ProbedChannel>& probed, bool all) {
+  std::map<std::tuple<std::string, std::string, Unit, Kind>, Line> groups;
+  const auto key = [](const ProbedChannel& one) {
+    const Channel& c = *one.channel;
+    return std::tuple(c.source, without_numbers(c.name), c.unit, c.kind);
+  };
+  if (!all)
+    for (const ProbedChannel& one : probed) groups[key(one)].push_back(&one);
+  std::vector<Line> lines;
+  for (const ProbedChannel& one : probed) {
+    const auto group = groups.find(key(one));
+    if (group == groups.end() || group->second.size() < fewest_to_fold)
+      lines.push_back({&one});
+    else if (group->second.front() == &one)
+      lines.push_back(group->second);
   }
   return lines;
 }
 
-std::string range_text(const std::vector<ProbedChannel>& line) {
+/// "1.20 GHz", or "1.20 GHz to 3.40 GHz" of several.
+template <class Value>
+std::string range_text(const Line& line, Value value_of) {
   std::optional<int64_t> low;
   std::optional<int64_t> high;
-  for (const ProbedChannel& channel : line) {
-    if (!channel.value) continue;
-    low = std::min(low.value_or(*channel.value), *channel.value);
-    high = std::max(high.value_or(*channel.value), *channel.value);
-  }
-  if (!low) return "no value";
-  return *low == *high ? fmt::format("{}", *low) : fmt::format("{} .. {}", *low, *high);
-}
-
-void print_line(const std::vector<ProbedChannel>& line) {
-  const Channel& first = *line.front().channel;
-  const std::string name =
-      line.size() == 1 ? first.name
-                       : fmt::format("{} ({} of them)", pattern_of(first.name), line.size());
-  const auto microseconds = [](const std::optional<int64_t>& ns) {
-    return ns ? fmt::format("{:.2f}", static_cast<double>(*ns) * 1e-3) : std::string("-");
+  for (const ProbedChannel* one : line)
+    if (const std::optional<int64_t> value = value_of(*one)) {
+      low = std::min(low.value_or(*value), *value);
+      high = std::max(high.value_or(*value), *value);
+    }
+  if (!low) return "-";
+  const std::string_view unit = unit_info(line.front()->channel->unit).name;
+  const auto shown = [&](int64_t value) {
+    return analysis::scaled_stored(static_cast<double>(value), unit);
   };
-  fmt::print("  {:<44} {:>22} {:<8} {:>12} {:>9.1f} {:>8}  {}\n", name, range_text(line),
-             unit_info(first.unit).name, first.limit ? fmt::format("{}", *first.limit) : "-",
-             static_cast<double>(first.period_ns) * 1e-6, microseconds(first.read_cost_ns),
-             line.size() == 1 ? first.origin : fmt::format("{} ...", first.origin));
+  return *low == *high ? shown(*low) : fmt::format("{} to {}", shown(*low), shown(*high));
 }
 
-void print_text(const probe::Discovery& discovery, const std::vector<ProbedChannel>& probed,
-                bool all) {
+void print_line(const Line& line, bool all) {
+  const Channel& channel = *line.front()->channel;
+  const std::string name = line.size() == 1
+                               ? channel.name
+                               : fmt::format("{} ({})", without_numbers(channel.name), line.size());
+  const std::string now = range_text(line, [](const ProbedChannel& one) { return one.value; });
+  const std::string limit =
+      range_text(line, [](const ProbedChannel& one) { return one.channel->limit; });
+  const std::string rate =
+      channel.period_ns > 0 ? analysis::scaled(1e9 / static_cast<double>(channel.period_ns), "Hz")
+                            : "-";
+  const std::string cost =
+      channel.read_cost_ns
+          ? fmt::format("{:.2f}", static_cast<double>(*channel.read_cost_ns) * 1e-3)
+          : "-";
+  const std::string value = limit == "-" ? now : fmt::format("{} (limit {})", now, limit);
+  fmt::print("  {} {} {} {} {}  {}\n", padded(name, name_width),
+             padded(all ? channel.origin : shortened(channel.origin, origin_width), origin_width),
+             padded(std::string(unit_info(channel.unit).name), 5), padded(rate, 8, true),
+             padded(cost, 7, true), value);
+}
+
+void print_table(const std::vector<ProbedChannel>& probed, bool all) {
   std::optional<Quantity> quantity;
-  for (const std::vector<ProbedChannel>& line : fold(probed, all)) {
-    const Quantity of_line = line.front().channel->quantity;
-    if (quantity != of_line)
-      fmt::print("{}{:<46} {:>22} {:<8} {:>12} {:>9} {:>8}  where\n", quantity ? "\n" : "",
-                 to_string(of_line), "now", "unit", "limit", "every ms", "cost us");
-    quantity = of_line;
-    print_line(line);
+  for (const Line& line : fold(probed, all)) {
+    if (line.front()->channel->quantity != quantity) {
+      quantity = line.front()->channel->quantity;
+      fmt::print("{}{} {} {} {} {}  {}\n", padded(std::string(to_string(*quantity)), 0),
+                 padded("", name_width + 1 - to_string(*quantity).size()),
+                 padded("where", origin_width), padded("unit", 5), padded("rate", 8, true),
+                 padded("cost us", 7, true), "now");
+    }
+    print_line(line, all);
   }
-  if (!discovery.missing.empty()) fmt::print("\nnot seen\n");
-  for (const probe::Missing& m : discovery.missing) {
-    fmt::print("  {:<17} {}\n", m.source, m.reason);
-    if (!m.fix.empty()) fmt::print("  {:<17} fix: {}\n", "", m.fix);
-  }
+  if (probed.empty()) fmt::print("Nothing can be sensed here.\n");
+}
+
+void print_devices() {
   fmt::print("\nVulkan devices\n");
   for (const json& device : devices_json()) {
     const std::string name = device["name"].is_null() ? "none" : device["name"].get<std::string>();
@@ -180,9 +250,22 @@ void print_text(const probe::Discovery& discovery, const std::vector<ProbedChann
       fmt::print("  {} ({}, {})\n", name, device["type"].get<std::string>(),
                  device["driver"].get<std::string>());
     else
-      fmt::print("  {}: {}\n", name, device["refused"].get<std::string>());
+      fmt::print("  {}\n",
+                 wrapped(fmt::format("{}: {}", name, device["refused"].get<std::string>()), 2));
   }
-  fmt::print("\n{}\n", probe::verdict(discovery));
+}
+
+void print_text(const probe::Discovery& discovery, const std::vector<ProbedChannel>& probed,
+                bool all) {
+  print_table(probed, all);
+  if (!discovery.missing.empty()) fmt::print("\nnot seen\n");
+  for (const probe::Missing& m : discovery.missing) {
+    fmt::print("  {} {}\n", padded(m.source, 16), wrapped(m.reason, 19));
+    // On one line, however long: it is there to be copied.
+    if (!m.fix.empty()) fmt::print("  {} fix: {}\n", padded("", 16), m.fix);
+  }
+  print_devices();
+  fmt::print("\n{}\n", wrapped(probe::verdict(discovery), 0));
 }
 
 }  // namespace

@@ -2,17 +2,14 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <signal.h>
-#include <spawn.h>
-#include <sys/wait.h>
 
-#include <array>
-#include <atomic>
-#include <cerrno>
 #include <cstring>
 #include <filesystem>
-#include <stdexcept>
+#include <future>
+#include <memory>
+#include <utility>
 
+#include "app/child.h"
 #include "app/config.h"
 #include "app/host.h"
 #include "app/results.h"
@@ -26,73 +23,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr int exit_not_found = 127;
-constexpr int exit_not_executable = 126;
-
-std::atomic<pid_t> child{0};
-
-/// Passes on what was sent to this process alone. The terminal's Ctrl-C and its kin reach the whole
-/// process group, the child included: once is enough.
-void forward(int signal, siginfo_t* info, void*) {
-  const bool sent_by_a_process =
-      info->si_code == SI_USER || info->si_code == SI_QUEUE || info->si_code == SI_TKILL;
-  const pid_t pid = child.load();
-  if (sent_by_a_process && pid > 0) kill(pid, signal);
-}
-
-/// Signals are forwarded while it lives, so that none of them ends the recording before the
-/// program.
-class Forwarding {
- public:
-  Forwarding() {
-    struct sigaction action {};
-    action.sa_sigaction = forward;
-    action.sa_flags = SA_SIGINFO | SA_RESTART;
-    for (size_t i = 0; i < signals.size(); ++i) sigaction(signals[i], &action, &before_[i]);
-  }
-  ~Forwarding() {
-    for (size_t i = 0; i < signals.size(); ++i) sigaction(signals[i], &before_[i], nullptr);
-  }
-  Forwarding(const Forwarding&) = delete;
-  Forwarding& operator=(const Forwarding&) = delete;
-
-  static constexpr std::array signals{SIGINT,  SIGTERM, SIGHUP,  SIGQUIT,
-                                      SIGUSR1, SIGUSR2, SIGALRM, SIGWINCH};
-
- private:
-  std::array<struct sigaction, signals.size()> before_{};
-};
-
-/// Starts the command with signals as this process found them. Returns errno.
-int spawn(const std::vector<std::string>& command, pid_t& pid) {
-  std::vector<char*> argv;
-  for (const std::string& word : command) argv.push_back(const_cast<char*>(word.c_str()));
-  argv.push_back(nullptr);
-  posix_spawnattr_t attributes;
-  posix_spawnattr_init(&attributes);
-  sigset_t defaults;
-  sigemptyset(&defaults);
-  for (const int signal : Forwarding::signals) sigaddset(&defaults, signal);
-  posix_spawnattr_setsigdefault(&attributes, &defaults);
-  posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGDEF);
-  const int error = posix_spawnp(&pid, argv[0], nullptr, &attributes, argv.data(), environ);
-  posix_spawnattr_destroy(&attributes);
-  return error;
-}
-
-int wait_for(pid_t pid) {
-  int status = 0;
-  while (waitpid(pid, &status, 0) < 0 && errno == EINTR) {
-  }
-  return status;
-}
-
-std::string ending_of(int status) {
-  return WIFSIGNALED(status) ? fmt::format("was ended by signal {} ({})", WTERMSIG(status),
-                                           strsignal(WTERMSIG(status)))
-                             : fmt::format("ended with exit code {}", WEXITSTATUS(status));
-}
-
 /// Nothing was run: nothing is left.
 void remove_run(const fs::path& dir) {
   std::error_code ignored;
@@ -101,73 +31,129 @@ void remove_run(const fs::path& dir) {
   fs::remove(dir, ignored);
 }
 
-void record_meta(RunWriter& writer, const RecordOptions& options, const std::string& name,
-                 const Sensors& sensors) {
-  writer.set_meta("name", name);
-  writer.set_meta("question", "what does this program cost?");
-  writer.set_meta("command", fmt::format("{}", fmt::join(options.command, " ")));
-  writer.set_meta("host", describe_host().dump());
-  writer.set_meta("code_version", ENERGYPROF_VERSION);
-  writer.set_meta("build_type", ENERGYPROF_BUILD_TYPE);
-  writer.set_meta("begin_ns", std::to_string(now_ns()));
-  writer.set_meta("begin_utc", utc_now());
-  writer.set_meta("interrupted", "0");
-  writer.set_meta("simulated", options.root == "/" ? "0" : "1");
-  writer.set_meta("missing_sensors", sensors.missing_json().dump());
-  writer.set_meta("verdict", sensors.verdict());
+Config make_config(const RecordOptions& options) {
+  Config config;
+  config.file = "record";
+  config.name = fs::path(options.command.front()).filename().string();
+  if (config.name.empty()) config.name = "command";
+  config.sampler_rate_hz = options.rate_hz;
+  config.json = {{"name", config.name},
+                 {"question", "what does this program cost?"},
+                 {"sampler", {{"rate_hz", config.sampler_rate_hz}, {"sources", "all"}}}};
+  return config;
 }
+
+/// Sensors, sampler and recorder around one program.
+class Recording {
+ public:
+  /// Finds the sensors and begins to record into `dir`, which this creates.
+  ///
+  /// The kernel counts the events of the thread that discovers, and of what that starts from then
+  /// on. The threads of sampler and recorder are not to be among them: a thread that was there
+  /// before starts them.
+  explicit Recording(const RecordOptions& options)
+      : options_(options),
+        config_(make_config(options)),
+        dir_(options.out.empty() ? default_run_dir(config_.name) : fs::path(options.out)) {
+    std::future<void> started;
+    std::promise<void> discovered;  // goes first, so that the thread never waits in vain
+    started = std::async(std::launch::async, [this, gate = discovered.get_future()]() mutable {
+      gate.get();
+      start();
+    });
+    sensors_ = std::make_unique<Sensors>(options.root, config_, options.allow_msr);
+    create_run_dir(dir_);
+    std::error_code ignored;
+    fs::remove(dir_ / "images", ignored);  // there are no frames to picture
+    discovered.set_value();
+    started.get();
+  }
+
+  [[nodiscard]] const fs::path& dir() const { return dir_; }
+
+  ChildEnd run(const HeldSignals& signals) {
+    const int64_t begin_ns = now_ns();
+    set("command_begin_ns", std::to_string(begin_ns));
+    const ChildEnd end = Child(options_.command, signals).wait();
+    const int64_t end_ns = now_ns();
+    sensors_->stop();
+    for (Event& event : sensors_->drain_events()) writer_->add_event(std::move(event));
+    for (const auto& [key, value] : sensors_->cost_meta()) set(key, value);
+    std::string how = fmt::format("ended with exit code {}", end.exit_code);
+    if (end.signal) {
+      how = fmt::format("was ended by signal {} ({})", *end.signal, strsignal(*end.signal));
+      set("command_signal", std::to_string(*end.signal));
+    }
+    writer_->add_event({begin_ns, end_ns, Severity::info, "command", std::nullopt,
+                        fmt::format("'{}' {}", command(), how)});
+    set("command_end_ns", std::to_string(end_ns));
+    set("command_exit_code", std::to_string(end.exit_code));
+    set("end_ns", std::to_string(now_ns()));
+    writer_->close();
+    return end;
+  }
+
+  /// Nothing was run: leaves nothing.
+  void discard() {
+    sensors_->stop();
+    writer_.reset();
+    remove_run(dir_);
+  }
+
+ private:
+  [[nodiscard]] std::string command() const {
+    return fmt::format("{}", fmt::join(options_.command, " "));
+  }
+  void set(std::string key, std::string value) {
+    writer_->set_meta(std::move(key), std::move(value));
+  }
+
+  void start() {
+    RunWriter::Config writer_config;
+    writer_config.pull_samples = [this](std::vector<Sample>& out) { sensors_->drain(out); };
+    writer_ = std::make_unique<RunWriter>(dir_ / "run.sqlite", std::move(writer_config));
+    for (const Channel& channel : sensors_->channels()) writer_->add_channel(channel);
+    set("name", config_.name);
+    set("command", command());
+    set("config", config_.json.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace));
+    set("host", describe_host().dump());
+    set("code_version", ENERGYPROF_VERSION);
+    set("build_type", ENERGYPROF_BUILD_TYPE);
+    set("begin_ns", std::to_string(now_ns()));
+    set("begin_utc", utc_now());
+    set("interrupted", "0");
+    set("simulated", options_.root == "/" ? "0" : "1");
+    set("missing_sensors", sensors_->missing_json().dump());
+    set("verdict", sensors_->verdict());
+    sensors_->start();
+  }
+
+  const RecordOptions& options_;
+  Config config_;
+  fs::path dir_;
+  std::unique_ptr<Sensors> sensors_;
+  std::unique_ptr<RunWriter> writer_;
+};
 
 }  // namespace
 
 int record_command(const RecordOptions& options) {
-  const std::string name = fs::path(options.command.front()).filename().string();
-  const fs::path dir = options.out.empty() ? default_run_dir(name) : fs::path(options.out);
-  Config config;
-  config.sampler_rate_hz = options.rate_hz;
-  // Before any thread: the command inherits the counters of the thread that starts it.
-  Sensors sensors(options.root, config, options.allow_msr);
-  create_run_dir(dir);
-  std::error_code ignored;
-  fs::remove(dir / "images", ignored);  // there are no frames to picture
-
-  int status = 0;
-  {
-    RunWriter::Config writer_config;
-    writer_config.pull_samples = [&](std::vector<Sample>& out) { sensors.drain(out); };
-    RunWriter writer(dir / "run.sqlite", std::move(writer_config));
-    for (const Channel& channel : sensors.channels()) writer.add_channel(channel);
-    record_meta(writer, options, name, sensors);
-    sensors.start();
-    const Forwarding forwarding;
-    const int64_t begin_ns = now_ns();
-    pid_t pid = 0;
-    if (const int error = spawn(options.command, pid); error != 0) {
-      sensors.stop();
-      writer.close();
-      remove_run(dir);
-      fmt::print(stderr, "energyprof: cannot run '{}': {}.\n", options.command.front(),
-                 std::strerror(error));
-      return error == ENOENT ? exit_not_found : exit_not_executable;
-    }
-    child = pid;
-    status = wait_for(pid);
-    child = 0;
-    const int64_t end_ns = now_ns();
-    sensors.stop();
-    for (Event& event : sensors.drain_events()) writer.add_event(std::move(event));
-    writer.add_event({begin_ns, end_ns, Severity::info, "command", std::nullopt,
-                      fmt::format("'{}' {}", fmt::join(options.command, " "), ending_of(status))});
-    for (const auto& [key, value] : sensors.cost_meta()) writer.set_meta(key, value);
-    writer.set_meta("command_begin_ns", std::to_string(begin_ns));
-    writer.set_meta("command_end_ns", std::to_string(end_ns));
-    writer.set_meta("end_ns", std::to_string(now_ns()));
-    writer.close();
+  const HeldSignals signals;
+  Recording recording(options);
+  if (const auto signal = signals.end_wanted()) {
+    recording.discard();
+    return 128 + *signal;
   }
-  std::FILE* const to = options.quiet ? std::fopen("/dev/null", "w") : stderr;
-  if (to == nullptr) throw std::runtime_error("cannot open '/dev/null' to be quiet.");
-  write_all_reports(dir, dir / "run.sqlite", to);
-  if (to != stderr) std::fclose(to);
-  return WIFSIGNALED(status) ? 128 + WTERMSIG(status) : WEXITSTATUS(status);
+  ChildEnd end;
+  try {
+    end = recording.run(signals);
+  } catch (const CannotRun&) {
+    recording.discard();
+    throw;
+  }
+  write_all_reports(recording.dir(), recording.dir() / "run.sqlite",
+                    options.quiet ? nullptr : stderr);
+  return end.exit_code;
 }
 
 }  // namespace energyprof::app

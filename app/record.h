@@ -17,8 +17,8 @@ struct RecordOptions {
 
 /// Runs the command under the sampler. Its standard streams are the caller's own; signals sent to
 /// this process go to it; what energyprof has to say comes on stderr when it has ended. Returns its
-/// exit code, 128 + the signal that ended it, or 127 (not found) or 126 (cannot be executed).
-/// Throws std::runtime_error when nothing can be recorded.
+/// exit code, or 128 + the signal that ended it. Throws CannotRun (app/child.h) when there is no
+/// such program, std::runtime_error when nothing can be recorded.
 int record_command(const RecordOptions& options);
 
 }  // namespace energyprof::app

@@ -6,6 +6,7 @@
 #include <optional>
 
 #include "analysis/analyze.h"
+#include "analysis/report_text.h"
 #include "analysis/write_reports.h"
 #include "core/run_db.h"
 
@@ -50,6 +51,13 @@ void print_summary(const analysis::Analysis& result, std::FILE* to) {
     fmt::print(to, "{}. {}: score {:.3f} ms (95 %: {:.3f} to {:.3f}), {:.3f} times the best\n",
                row.rank, row.algorithm, row.score_ms, row.score_interval_ms.low,
                row.score_interval_ms.high, row.normalized);
+  if (result.run.command) {
+    fmt::print(to, "{}\n", result.headline);
+    for (const analysis::Reading& row : analysis::readings(result))
+      fmt::print(to, "  {:<14} {:<40} {}\n", to_string(row.quantity), row.channel, row.text);
+  }
+  for (const std::string& line : analysis::sampler_text(result.sampler))
+    fmt::print(to, "{}\n", line);
   for (const analysis::Flag& flag : result.flags) fmt::print(to, "{}: {}\n", flag.label, flag.text);
 }
 
@@ -59,6 +67,7 @@ void write_all_reports(const fs::path& dir, const fs::path& file, std::FILE* to)
   const RunRecord run = read_run(file);
   const analysis::Analysis result = analysis::analyze(run);
   const std::vector<fs::path> written = analysis::write_reports(run, result, dir);
+  if (to == nullptr) return;
   print_summary(result, to);
   fmt::print(to, "{}\n", file.string());
   for (const fs::path& path : written) fmt::print(to, "{}\n", path.string());

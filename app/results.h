@@ -11,7 +11,7 @@ namespace energyprof::app {
 std::filesystem::path default_run_dir(const std::string& name);
 
 /// Reads the run back from `file`, as any later analysis would, writes its reports to `dir`, and
-/// prints the result in a few lines and the paths of all files.
+/// prints the result in a few lines and the paths of all files `to` a stream, unless that is null.
 void write_all_reports(const std::filesystem::path& dir, const std::filesystem::path& file,
                        std::FILE* to);
 

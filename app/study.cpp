@@ -4,12 +4,14 @@
 #include <fmt/std.h>
 
 #include <algorithm>
+#include <cmath>
 #include <fstream>
 #include <functional>
 #include <memory>
 #include <new>
 #include <optional>
 #include <thread>
+#include <utility>
 
 #include "accel/cache_model.h"
 #include "accel/trace_cpu.h"
@@ -21,6 +23,7 @@
 #include "app/pictures.h"
 #include "app/progress.h"
 #include "app/scene.h"
+#include "app/self_check.h"
 #include "app/sensors.h"
 #include "app/structure_store.h"
 #include "app/trial_order.h"
@@ -203,6 +206,7 @@ class Study {
       if (is_last || plan[i + 1].model != plan[i].model || plan[i + 1].view != plan[i].view)
         finish_view(plan[i]);
     }
+    self_check();
     if (idle_before_count_ > 0) idle(config_.idle.after_s);
     picture([this] { pictures_.finish(); });
     progress_.reset();
@@ -286,31 +290,45 @@ class Study {
     trial.begin_ns = now_ns();
     writer_->put_trial(trial);
 
-    const kernels::TraceSetup setup{
-        .blob = structure.built.blob,
-        .triangles = scene.triangles,
-        .kernel = trial.algorithm,
-        .constants = frame_constants(scene, resolve_view(scene, config_.views[planned.view]),
-                                     config_.width, config_.height, config_.bounces, config_.seed),
-        .config = {}};
-    outcome = trace(setup, trial);
-    if (trial.repetition != 0 || InterruptGuard::requested()) return;
+    const kernels::TraceSetup setup = make_setup(planned, structure, config_.width, config_.height);
+    const std::vector<double> timed_ms = trace(setup, trial);
+    if (InterruptGuard::requested()) {
+      outcome = "interrupted";
+      return;
+    }
+    const double median_ms = analysis::median(timed_ms);
+    outcome = fmt::format("{} frames, median {:.2f} ms", timed_ms.size(), median_ms);
+    if (!first_usable_ && trial.skip_reason.empty()) first_usable_ = {planned, median_ms};
+    if (trial.repetition != 0) return;
     picture([&] { draw_heat_map(setup, trial); });
     model_caches(setup, trial);
   }
 
-  /// The frames of a trial, and the view's reference image if there is none yet; in words.
-  std::string trace(const kernels::TraceSetup& setup, Trial& trial) {
+  [[nodiscard]] kernels::TraceSetup make_setup(const PlannedTrial& planned,
+                                               const Structure& structure, uint32_t width,
+                                               uint32_t height) const {
+    const Scene& scene = scenes_[planned.model];
+    return {.blob = structure.built.blob,
+            .triangles = scene.triangles,
+            .kernel = config_.algorithms[planned.algorithm],
+            .constants = frame_constants(scene, resolve_view(scene, config_.views[planned.view]),
+                                         width, height, config_.bounces, config_.seed),
+            .config = {}};
+  }
+
+  /// The frames of a trial, and the view's reference image if there is none yet. The times of the
+  /// timed frames.
+  std::vector<double> trace(const kernels::TraceSetup& setup, Trial& trial) {
     kernels::TraceProgram program(*device_, setup);
-    const std::vector<double> timed_ms = run_frames(program, trial);
+    std::vector<double> timed_ms = run_frames(program, trial);
     trial.end_ns = now_ns();
     writer_->put_trial(trial);
-    if (InterruptGuard::requested()) return "interrupted";
+    if (InterruptGuard::requested()) return timed_ms;
     if (trial.repetition == 0) verify(program.read_hits(), setup, trial);
     picture([&] {
       if (!pictures_.has_reference(trial.model, trial.view)) render_reference(program, trial);
     });
-    return fmt::format("{} frames, median {:.2f} ms", timed_ms.size(), analysis::median(timed_ms));
+    return timed_ms;
   }
 
   /// Compares the counted frame with the CPU's: a driver may end loops early or miscompile a
@@ -445,14 +463,41 @@ class Study {
     trial.cache_model = app::describe(caches_, result).dump();
   }
 
-  /// Leaves the machine alone for a while, so that the sensors show what idling takes.
+  /// What sampling costs: the work of the first usable trial with the sampler on and off in turn.
+  /// Where its frames are too long, in a smaller image.
+  void self_check() {
+    if (!config_.self_check || !first_usable_ || InterruptGuard::requested()) return;
+    progress_->note("tracing with the sampler on and off, to see what it costs");
+    const int64_t budget_ns = (options_.quick ? 3 : 8) * ns_per_s;
+    const auto& [planned, frame_ms] = *first_usable_;
+    const double factor = self_check_image_factor(std::llround(frame_ms * 1e6), budget_ns);
+    const auto shrunk = [&](uint32_t pixels) {
+      return std::max(1u, static_cast<uint32_t>(std::lround(pixels * factor)));
+    };
+    try {
+      const AccelKind kind = find_algorithm(config_.algorithms[planned.algorithm])->kind;
+      kernels::TraceProgram program(
+          *device_, make_setup(planned, structures_.get(scenes_[planned.model], kind),
+                               shrunk(config_.width), shrunk(config_.height)));
+      run_self_check(program, sensors_, *writer_, budget_ns);
+    } catch (const std::runtime_error& error) {
+      writer_->add_event(
+          {now_ns(), std::nullopt, Severity::warning, "self-check", std::nullopt, error.what()});
+    }
+    check_recording();
+  }
+
+  /// Leaves the machine alone for a while, so that the sensors show what idling takes. Nothing is
+  /// read then that would wake a GPU.
   void idle(double seconds) {
     if (seconds <= 0.0 || InterruptGuard::requested()) return;
     const int64_t begin_ns = now_ns();
     const int64_t end_ns = begin_ns + static_cast<int64_t>(seconds * 1e9);
+    sensors_.set_idle(true);
     while (!InterruptGuard::requested() && now_ns() < end_ns)
       std::this_thread::sleep_for(std::min<std::chrono::nanoseconds>(
           wait_step, std::chrono::nanoseconds(end_ns - now_ns())));
+    sensors_.set_idle(false);
     writer_->add_event(
         {begin_ns, now_ns(), Severity::info, "idle", std::nullopt, "nothing was submitted"});
   }
@@ -539,6 +584,8 @@ class Study {
   std::vector<std::string> validation_messages_;
   std::optional<double> first_temperature_c_;
   StudyResult result_;
+  /// The first trial that went well, and the median of its frames in milliseconds.
+  std::optional<std::pair<PlannedTrial, double>> first_usable_;
   int64_t frames_per_trial_ = 0;
   int64_t frames_done_ = 0;
   int64_t frame_id_ = 0;

@@ -111,9 +111,9 @@
     const host = run.host || {};
     const device = report.device;
     const facts = {
-      device: device.name,
-      "device type": device.type,
-      driver: run.driver || device.driver,
+      ...(run.command
+        ? { command: run.command.text }
+        : { device: device.name, "device type": device.type, driver: run.driver || device.driver }),
       CPU: host.cpu,
       kernel: host.kernel,
       begin: run.begin_utc,
@@ -299,6 +299,25 @@
         note(`${data.images_left_out} more are in the folder images beside this page; the page would be too large with them.`));
   }
 
+  // A recorded program has no frames; a study's sensors are drawn and listed below its results.
+  function chooseSections() {
+    const hidden = run.command ? ["ranking", "cells", "work", "energy", "images"] : ["readings"];
+    for (const id of hidden) {
+      byId(id).hidden = true;
+      document.querySelector(`nav a[href="#${id}"]`).hidden = true;
+    }
+  }
+
+  function fillReadings() {
+    if (data.readings.length === 0) body("readings").append(note("No sensor delivered samples."));
+    else
+      body("readings").append(table("Over the whole run.", [
+        { title: "Quantity", value: (row) => row.quantity },
+        { title: "Channel", header: true, value: (row) => row.channel },
+        { title: "Min / mean / max", wide: true, value: (row) => row.text },
+      ], data.readings));
+  }
+
   function fillSensors() {
     if (data.sensor_rows.length === 0) {
       body("sensors").append(note("No sensor was recorded."));
@@ -309,7 +328,7 @@
       { title: "Quantity", value: (row) => row.quantity },
       { title: "Status", value: (row) => row.status,
         tone: (row) => (row.status === "ok" ? "good" : row.status === "constant" ? "" : "bad") },
-      { title: "Min / median / max", wide: true, value: (row) => row.values },
+      { title: "Min / mean / max", wide: true, value: (row) => row.values },
       { title: "Samples", right: true, value: (row) => String(row.samples) },
       { title: "Changes", right: true, value: (row) => String(row.updates) },
       { title: "Polled every", right: true, value: (row) => row.polled },
@@ -335,7 +354,7 @@
 
   function fillNotes() {
     body("warnings").append(list(report.warnings));
-    const events = report.events.filter((event) => event.kind !== "idle");
+    const events = report.events.filter((event) => event.kind !== "idle" && event.kind !== "sampler-off");
     if (data.idle_text) body("events").append(note(data.idle_text));
     if (events.length === 0) body("events").append(note("Nothing else happened that was noted."));
     else
@@ -597,6 +616,7 @@
   }
 
   fillTop();
+  fillReadings();
   fillRanking();
   fillChart();
   fillCells();
@@ -605,6 +625,7 @@
   fillSensors();
   fillUnseen();
   fillNotes();
+  chooseSections();
   draw();
   watch();
 })();

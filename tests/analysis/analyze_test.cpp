@@ -364,6 +364,105 @@ TEST(Analyze, AFrozenEnergyCounterIsAWarning) {
               Contains(HasSubstr("amdgpu.card0.energy never changed in 50 samples")));
 }
 
+TEST(Analyze, AnEnergyCounterThatStoodStillUnderLoadIsUnsupported) {
+  const auto summary = [](double traced_ms, const char* name, const char* device_type) {
+    RunBuilder builder;
+    builder.run.meta["device"] = std::string(R"({"type":")") + device_type + "\"}";
+    builder.add_trial("m", 0, "A", {traced_ms, traced_ms});
+    builder.add_channel(name, Quantity::energy, Unit::microjoule, Kind::cumulative, 1'000'000, 500,
+                        [](std::size_t) { return 7.0; });
+    return analyze(builder.run);
+  };
+  const Analysis loaded = summary(60, "rapl.package-0.energy", "integrated");
+  EXPECT_EQ(loaded.sensors[0].status, never_moved);
+  EXPECT_FALSE(loaded.sensors[0].is_usable());
+  EXPECT_FALSE(loaded.sensors[0].mean_rate);
+  EXPECT_THAT(loaded.warnings, Contains(HasSubstr("it is unsupported here, not 0 W")));
+  EXPECT_EQ(loaded.energy.at(0).refused, "no energy channel was recorded");
+  EXPECT_EQ(summary(40, "rapl.package-0.energy", "integrated").sensors[0].status, "constant");
+  // What a CPU traced was no load for the GPU.
+  EXPECT_EQ(summary(60, "rapl.uncore.energy", "cpu").sensors[0].status, "constant");
+  EXPECT_EQ(summary(60, "rapl.uncore.energy", "integrated").sensors[0].status, never_moved);
+}
+
+TEST(Analyze, WhatTheRecorderKnewOfAStillCounterCounts) {
+  RunBuilder builder;
+  builder
+      .add_channel("rapl.package-0.energy", Quantity::energy, Unit::microjoule, Kind::cumulative,
+                   1'000'000, 5, [](std::size_t) { return 7.0; })
+      .stands_still = true;
+  EXPECT_EQ(analyze(builder.run).sensors[0].status, never_moved);
+}
+
+TEST(Analyze, SensorsHaveMeansOverTime) {
+  RunBuilder builder;
+  // 12 W, a sensor that moves each ms.
+  builder.add_channel("rapl.package-0.energy", Quantity::energy, Unit::microjoule, Kind::cumulative,
+                      1'000'000, 1001,
+                      [](std::size_t i) { return 12'000.0 * static_cast<double>(i); });
+  // Set for the first quarter of 100 steps.
+  builder.add_channel("x.throttle", Quantity::throttle, Unit::none, Kind::flag, 1'000'000, 101,
+                      [](std::size_t i) { return i < 25 ? 1.0 : 0.0; });
+  // 40 C for 9 ms, 90 C for 1 ms: the mean over time is 45 C. 90 C and a second of silence after it
+  // count for nothing.
+  Channel& temperature =
+      builder.add_channel("x.temp", Quantity::temperature, Unit::celsius, Kind::gauge, 1'000'000,
+                          11, [](std::size_t i) { return i < 9 ? 40.0 : 90.0; });
+  SampleSeries& series = builder.run.series[temperature.id];
+  series.t_ns.push_back(series.t_ns.back() + 1'000'000'000);
+  series.value.push_back(90);
+  const Analysis analysis = analyze(builder.run);
+  EXPECT_NEAR(*analysis.sensors[0].mean_rate, 12, 1e-9);
+  EXPECT_NEAR(*analysis.sensors[0].increase_error_j, 0.41 * 1e-3 * 12, 1e-12);
+  EXPECT_FALSE(analysis.sensors[0].mean);
+  EXPECT_NEAR(*analysis.sensors[1].active_ratio, 0.25, 1e-12);
+  EXPECT_NEAR(*analysis.sensors[2].mean, 45, 1e-9);
+  EXPECT_EQ(analysis.sensors[2].silence_count, 1);
+  EXPECT_EQ(analysis.sensors[2].longest_silence_ns, 1'000'000'000);
+  EXPECT_THAT(analysis.warnings, Contains(HasSubstr("1 channel went without samples")));
+}
+
+TEST(Analyze, SilenceThatWasWantedIsNoWarning) {
+  const auto silences = [](const char* kind, bool wakes_device) {
+    RunBuilder builder;
+    Channel& channel =
+        builder.add_channel("x.temp", Quantity::temperature, Unit::celsius, Kind::gauge, 1'000'000,
+                            50, [](std::size_t i) { return static_cast<double>(i); });
+    channel.wakes_device = wakes_device;
+    SampleSeries& series = builder.run.series[channel.id];
+    const int64_t begin_ns = series.t_ns.back();
+    for (int64_t i = 0; i < 50; ++i) {
+      series.t_ns.push_back(begin_ns + 3'000'000'000 + i * 1'000'000);
+      series.value.push_back(1);
+    }
+    builder.run.events.push_back(
+        {begin_ns + 1000, begin_ns + 2'999'999'000, Severity::info, kind, std::nullopt, ""});
+    return analyze(builder.run).sensors[0].silence_count;
+  };
+  EXPECT_EQ(silences("sampler-off", false), 0);
+  EXPECT_EQ(silences("idle", true), 0);
+  EXPECT_EQ(silences("idle", false), 1);
+  EXPECT_EQ(silences("cooldown", true), 1);
+}
+
+TEST(Analyze, ARecordedProgramIsSummedUpByItsSensors) {
+  RunBuilder builder;
+  builder.run.meta["command"] = "sh -c x";
+  builder.run.meta["command_begin_ns"] = std::to_string(planted::begin_ns);
+  builder.run.meta["command_end_ns"] = std::to_string(planted::begin_ns + 2'000'000'000);
+  builder.run.meta["command_exit_code"] = "3";
+  builder.add_channel("rapl.package-0.energy", Quantity::energy, Unit::microjoule, Kind::cumulative,
+                      1'000'000, 1001,
+                      [](std::size_t i) { return 12'000.0 * static_cast<double>(i); });
+  builder.add_channel("x.throttle", Quantity::throttle, Unit::none, Kind::flag, 1'000'000, 11,
+                      [](std::size_t) { return 0.0; });
+  const Analysis analysis = analyze(builder.run);
+  EXPECT_EQ(analysis.headline,
+            "sh -c x ran for 2.00 s and exited with 3; rapl.package-0.energy: 12.0 J ± 4.92 mJ, "
+            "12.0 W on average; 1 throttle channel: showed no throttling.");
+  EXPECT_TRUE(analysis.warnings.empty());
+}
+
 TEST(Analyze, ASensorThatWentAwaySaysSo) {
   RunBuilder builder;
   builder.add_channel("x.temp", Quantity::temperature, Unit::celsius, Kind::gauge, 1'000'000, 5,

@@ -32,10 +32,11 @@ TEST(Config, ShippedOnesAreThePapersStudy) {
 }
 
 TEST(Config, SettingsChangeOneKeyEach) {
-  const Config config = load_config(
-      shipped("teapot.json"), {"image.width=640", "models.0=teapot:3", "frames.pace=fps:59.94",
-                               "views=[2,{\"phi\":1,\"theta\":2,\"distance\":3}]",
-                               "sampler.sources=[\"psi\"]", "order.design=sequential"});
+  const Config config =
+      load_config(shipped("teapot.json"),
+                  {"image.width=640", "models.0=teapot:3", "frames.pace=fps:59.94",
+                   "views=[2,{\"phi\":1,\"theta\":2,\"distance\":3}]", "sampler.sources=[\"psi\"]",
+                   "order.design=sequential", "sampler.periods_ms={\"psi\":2.5,\"hwmon\":100}"});
   EXPECT_EQ(config.width, 640u);
   EXPECT_EQ(config.models, std::vector<std::string>{"teapot:3"});
   EXPECT_DOUBLE_EQ(config.frames_per_second.value(), 59.94);
@@ -43,6 +44,9 @@ TEST(Config, SettingsChangeOneKeyEach) {
   EXPECT_EQ(std::get<int>(config.views[0]), 2);
   EXPECT_EQ(std::get<ViewConfig>(config.views[1]).distance, 3.0);
   EXPECT_EQ(config.sources, std::vector<std::string>{"psi"});
+  EXPECT_EQ(config.sampler_periods_ns,
+            (std::map<std::string, int64_t>{{"psi", 2'500'000}, {"hwmon", 100'000'000}}));
+  EXPECT_TRUE(config.self_check);
   EXPECT_FALSE(config.latin_square);
   EXPECT_EQ(config.json["image"]["width"], 640);
 }

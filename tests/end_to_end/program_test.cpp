@@ -63,6 +63,7 @@ class Program : public testing::Test {
     // Comments are allowed.
     "name": "small", "models": ["teapot:2"], "algorithms": ["BVH_FTB_DF"],
     "image": {"width": 64, "height": 36}, "frames": {"warmup": 1, "timed": 8},
+    "sampler": {"self_check": false},
     "idle": {"before_s": 0, "between_s": 0, "after_s": 0}
   })";
 
@@ -304,6 +305,50 @@ TEST_F(Tracing, IdlePeriodsAreRecordedAndLieOutsideTheTrials) {
       EXPECT_TRUE(*trial.end_ns <= idle[i].t_ns || trial.begin_ns >= *idle[i].end_ns);
   }
   EXPECT_THAT(read_text(out() / "report.md"), HasSubstr("3 idle periods"));
+}
+
+TEST_F(Tracing, MeasuresWhatSamplingCosts) {
+  const Output output =
+      program(small_study({"--quick", "--set", "sampler.self_check=true", "--set", "views=[0]"}));
+  ASSERT_EQ(output.code, 0) << output.err;
+  const RunRecord run = read_run(out());
+  ASSERT_EQ(run.frames.size(), 10u);  // the study's own
+  std::map<int64_t, std::vector<const SelfCheckFrame*>> blocks;
+  for (const SelfCheckFrame& frame : run.self_check) blocks[frame.block].push_back(&frame);
+  ASSERT_GE(blocks.size(), 16u);
+  for (const auto& [block, frames] : blocks) {
+    EXPECT_GE(frames.size(), 5u);
+    for (const SelfCheckFrame* frame : frames)
+      EXPECT_EQ(frame->sampler_on, block % 4 == 0 || block % 4 == 3);
+  }
+  // While it is off nothing is sampled.
+  size_t off_count = 0;
+  for (const Event& event : run.events) {
+    if (event.kind != "sampler-off") continue;
+    ++off_count;
+    for (const auto& [id, series] : run.series)
+      for (const int64_t t_ns : series.t_ns)
+        EXPECT_TRUE(t_ns <= event.t_ns || t_ns >= *event.end_ns);
+  }
+  EXPECT_EQ(off_count, blocks.size() / 4);
+  const json sampler = read_json(out() / "report.json")["sampler"];
+  EXPECT_EQ(sampler["self_check"]["blocks"], blocks.size());
+  EXPECT_EQ(sampler["self_check"]["frames"], run.self_check.size());
+  EXPECT_LE(sampler["self_check"]["difference_pct"]["low"],
+            sampler["self_check"]["difference_pct"]["high"]);
+  EXPECT_TRUE(sampler["scheduling"].is_string());
+  EXPECT_THAT(output.out, HasSubstr("Frame time with the sampler on, against off: "));
+}
+
+TEST_F(Tracing, SourcesArePolledAsOftenAsTheConfigSays) {
+  ASSERT_EQ(program(small_study({"--quiet", "--set", "sampler.sources=[\"proc_stat\",\"psi\"]",
+                                 "--set", "sampler.periods_ms={\"proc_stat\":100}"}))
+                .code,
+            0);
+  for (const Channel& channel : read_run(out()).channels)
+    if (channel.source == "proc_stat") {
+      EXPECT_NEAR(static_cast<double>(channel.period_ns), 1e8, 1e6) << channel.name;
+    }
 }
 
 TEST_F(Tracing, TheConfigsCachesAreModelled) {
@@ -747,6 +792,19 @@ INSTANTIATE_TEST_SUITE_P(
             "powercap, msr, i915, i915_pmu, xe, xe_pmu, amdgpu, nvml, hwmon, thermal, cpufreq, "
             "thermal_throttle, devfreq, v3d, raspberrypi, battery, proc_stat, psi, cgroup, perf, "
             "uncore"},
+        BadConfig{"period_of_an_unknown_source",
+                  {"--set", "sampler.periods_ms={\"rapl\":10}"},
+                  "CONFIG: /sampler/periods_ms: 'rapl' is not a source; expected perf_rapl, "
+                  "powercap, msr, i915, i915_pmu, xe, xe_pmu, amdgpu, nvml, hwmon, thermal, "
+                  "cpufreq, thermal_throttle, devfreq, v3d, raspberrypi, battery, proc_stat, psi, "
+                  "cgroup, perf, uncore"},
+        BadConfig{"period_of_nothing",
+                  {"--set", "sampler.periods_ms.hwmon=0"},
+                  "CONFIG: /sampler/periods_ms/hwmon: 0 is not allowed; expected a number from 0.1 "
+                  "to 3600000: milliseconds from poll to poll"},
+        BadConfig{"self_check_of_words",
+                  {"--set", "sampler.self_check=maybe"},
+                  "CONFIG: /sampler/self_check: \"maybe\" is not allowed; expected a boolean"},
         BadConfig{"no_models",
                   {"--set", "models=[]"},
                   "CONFIG: /models: [] is not allowed; expected a list of different models"},

@@ -61,6 +61,51 @@ TEST_F(Record, LeavesARunAndTheProgramsOwnWordsAlone) {
   EXPECT_EQ(test::run({ENERGYPROF_PROGRAM, "analyze", out().string()}).code, 0);
 }
 
+TEST_F(Record, PassesEveryWordAsItIs) {
+  // What command lines like to interpret: lists, empty words, options, marks.
+  const std::vector<std::string> words{"printf", "<%s>", "[a,b]", "",  "--out",
+                                       "--",     "{}",   "-h",    "$x"};
+  EXPECT_EQ(record(words).out, "<[a,b]><><--out><--><{}><-h><$x>");
+}
+
+TEST_F(Record, RunsScriptsWithoutAnInterpreterLineAsAShellWould) {
+  const fs::path script = dir_ / "script";
+  std::ofstream(script) << "exit 5\n";
+  fs::permissions(script, fs::perms::owner_all);
+  EXPECT_EQ(record({script.string()}).code, 5);
+}
+
+TEST_F(Record, GivesTheProgramTheSignalsItFound) {
+  // As nohup does: a program that is to survive a hang-up still does.
+  const Output output = test::run({"sh", "-c", "trap '' HUP; exec \"$@\"", "sh", ENERGYPROF_PROGRAM,
+                                   "record", "--out", out().string(), "--", "sh", "-c",
+                                   "kill -HUP $$; grep -E 'SigBlk|SigIgn' /proc/self/status"});
+  EXPECT_EQ(output.code, 0);
+  EXPECT_THAT(output.out, HasSubstr("SigBlk:\t0000000000000000"));
+  EXPECT_THAT(output.out, HasSubstr("SigIgn:\t0000000000000001"));
+}
+
+TEST_F(Record, SaysWhatTheSensorsShowed) {
+  const Output output = record({"sleep", "0.2"});
+  EXPECT_THAT(output.err, HasSubstr("sleep 0.2 ran for "));
+  const json report = json::parse(read_text(out() / "report.json"));
+  EXPECT_EQ(report["run"]["command"]["text"], "sleep 0.2");
+  EXPECT_EQ(report["run"]["command"]["exit_code"], 0);
+  EXPECT_TRUE(report["run"]["command"]["signal"].is_null());
+  EXPECT_GE(report["run"]["command"]["end_ns"].get<int64_t>() -
+                report["run"]["command"]["begin_ns"].get<int64_t>(),
+            200'000'000);
+  const std::string page = read_text(out() / "report.md");
+  EXPECT_THAT(page, HasSubstr("## What the sensors showed"));
+  EXPECT_THAT(page, testing::Not(HasSubstr("Ranking")));
+  EXPECT_THAT(read_text(out() / "timeline.json"),
+              HasSubstr(R"("name":"sleep 0.2","cat":"command")"));
+}
+
+TEST_F(Record, QuietMeansNothingOnStderr) {
+  EXPECT_THAT(record({"true"}, {"--quiet"}).err, IsEmpty());
+}
+
 TEST_F(Record, CountsWhatTheProgramDoes) {
   // 64 MiB of fresh memory, touched: 16384 pages, or 32 huge ones.
   const Output output =
