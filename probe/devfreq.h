@@ -20,7 +20,9 @@ namespace energyprof::probe {
 /// Kernel: Documentation/ABI/testing/sysfs-class-devfreq.
 void discover_devfreq(const Root& root, Discovery& discovery);
 
-/// Whether a device's name is that of a GPU: "fb000000.gpu", "17000000.ga10b".
-bool is_gpu_name(std::string_view device);
+/// Whether a device's name, driver or compatible text is that of a GPU: "fb000000.gpu",
+/// "17000000.ga10b". What throttles the memory for one ("soc:qcom,gpubw", "soc:qcom,kgsl-busmon")
+/// is none.
+bool is_gpu_name(std::string_view text);
 
 }  // namespace energyprof::probe

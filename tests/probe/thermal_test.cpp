@@ -106,6 +106,10 @@ TEST(ThermalZone, OfAcpiIsReadRarelyAndBesideTheOthers) {
   EXPECT_FALSE(found.sources[0]->traits().slow);
   EXPECT_TRUE(found.sources[1]->traits().slow);
   EXPECT_GE(found.sources[1]->period_ns(), 5 * ns_per_s);
+  // The same zone is a chip, too.
+  const Tree chip{{"sys/class/hwmon/hwmon0/name", "acpitz\n"},
+                  {"sys/class/hwmon/hwmon0/temp1_input", "27800\n"}};
+  EXPECT_GE(find(chip.root(), "hwmon").sources.at(0)->period_ns(), 5 * ns_per_s);
 }
 
 TEST(ThermalZone, LosesOneThatVanishesAndKeepsTheOthers) {
