@@ -110,8 +110,9 @@ void print_json(const probe::Discovery& discovery, const std::vector<ProbedChann
 // ------------------------------------------------------------------ text
 
 constexpr size_t page_width = 120;
-constexpr size_t name_width = 42;
-constexpr size_t origin_width = 29;
+constexpr size_t name_width = 39;
+constexpr size_t origin_width = 24;
+constexpr size_t unit_width = 8;
 // Channels that differ in their numbers only, as those of cores do, are one line from this many on.
 constexpr size_t fewest_to_fold = 4;
 
@@ -187,7 +188,7 @@ std::vector<Line> fold(const std::vector<ProbedChannel>& probed, bool all) {
   return lines;
 }
 
-/// "1.20 GHz", or "1.20 GHz to 3.40 GHz" of several.
+/// "1.20 GHz", or "1.20 to 3.40 GHz" of several.
 template <class Value>
 std::string range_text(const Line& line, Value value_of) {
   std::optional<int64_t> low;
@@ -202,7 +203,12 @@ std::string range_text(const Line& line, Value value_of) {
   const auto shown = [&](int64_t value) {
     return analysis::scaled_stored(static_cast<double>(value), unit);
   };
-  return *low == *high ? shown(*low) : fmt::format("{} to {}", shown(*low), shown(*high));
+  if (*low == *high) return shown(*low);
+  std::string from = shown(*low);
+  const std::string to = shown(*high);
+  const size_t unit_at = from.find(' ');
+  if (unit_at != std::string::npos && to.ends_with(from.substr(unit_at))) from.resize(unit_at);
+  return fmt::format("{} to {}", from, to);
 }
 
 void print_line(const Line& line, bool all) {
@@ -220,10 +226,10 @@ void print_line(const Line& line, bool all) {
       channel.read_cost_ns
           ? fmt::format("{:.2f}", static_cast<double>(*channel.read_cost_ns) * 1e-3)
           : "-";
-  const std::string value = limit == "-" ? now : fmt::format("{} (limit {})", now, limit);
+  const std::string value = limit == "-" ? now : fmt::format("{} / {}", now, limit);
   fmt::print("  {} {} {} {} {}  {}\n", padded(name, name_width),
              padded(all ? channel.origin : shortened(channel.origin, origin_width), origin_width),
-             padded(std::string(unit_info(channel.unit).name), 5), padded(rate, 8, true),
+             padded(std::string(unit_info(channel.unit).name), unit_width), padded(rate, 8, true),
              padded(cost, 7, true), value);
 }
 
@@ -234,8 +240,8 @@ void print_table(const std::vector<ProbedChannel>& probed, bool all) {
       quantity = line.front()->channel->quantity;
       fmt::print("{}{} {} {} {} {}  {}\n", padded(std::string(to_string(*quantity)), 0),
                  padded("", name_width + 1 - to_string(*quantity).size()),
-                 padded("where", origin_width), padded("unit", 5), padded("rate", 8, true),
-                 padded("cost us", 7, true), "now");
+                 padded("where", origin_width), padded("unit", unit_width), padded("rate", 8, true),
+                 padded("cost us", 7, true), "now / limit");
     }
     print_line(line, all);
   }

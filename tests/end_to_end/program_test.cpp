@@ -584,6 +584,29 @@ TEST_F(Tracing, APictureThatCannotBeWrittenCostsAnEventOnly) {
                           [](const Event& event) { return event.kind == "image"; }));
 }
 
+// ---------------------------------------------------------------------------- what can be sensed
+
+size_t columns_of(const std::string& line) {
+  return static_cast<size_t>(
+      std::count_if(line.begin(), line.end(), [](char c) { return (c & 0xC0) != 0x80; }));
+}
+
+TEST_F(Program, ProbeFitsAPageAndFoldsCores) {
+  for (const auto& machine : fs::directory_iterator(ENERGYPROF_TEST_DATA "/sysfs")) {
+    if (!machine.is_directory()) continue;
+    SCOPED_TRACE(machine.path());
+    const Output output = program({"probe", "--root", machine.path().string()});
+    ASSERT_EQ(output.code, 0);
+    std::istringstream table(output.out.substr(0, output.out.find("\nnot seen")));
+    for (std::string line; std::getline(table, line);) EXPECT_LE(columns_of(line), 120u) << line;
+  }
+  const std::string laptop = ENERGYPROF_TEST_DATA "/sysfs/intel-rplp-i915-laptop";
+  EXPECT_THAT(program({"probe", "--root", laptop}).out,
+              HasSubstr("hwmon.coretemp.core_*.temp (14)"));
+  EXPECT_THAT(program({"probe", "--all", "--root", laptop}).out,
+              HasSubstr("hwmon.coretemp.core_27.temp"));
+}
+
 // ---------------------------------------------------------------------------- failing devices
 
 Environment fault(const std::string& what) {
