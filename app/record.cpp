@@ -123,7 +123,7 @@ class Recording {
     set("begin_utc", utc_now());
     set("interrupted", "0");
     set("simulated", options_.root == "/" ? "0" : "1");
-    set("missing_sensors", sensors_->missing_json().dump());
+    set("missing_sensors", sensors_->missing_json());
     set("verdict", sensors_->verdict());
     sensors_->start();
   }

@@ -93,11 +93,11 @@ void Sensors::keep_gpu(const probe::TracingDevice& device, const probe::Root& ro
   make_sampler(config);
 }
 
-nlohmann::json Sensors::missing_json() const {
+std::string Sensors::missing_json() const {
   nlohmann::json missing = nlohmann::json::array();
   for (const probe::Missing& m : discovery_.missing)
     missing.push_back({{"source", m.source}, {"reason", m.reason}, {"fix", m.fix}});
-  return missing;
+  return missing.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
 }
 
 std::string Sensors::verdict() const { return probe::verdict(discovery_); }

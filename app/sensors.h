@@ -41,8 +41,8 @@ class Sensors {
   Sensors(const std::string& root, const Config& config, bool allow_msr);
 
   [[nodiscard]] const std::vector<Channel>& channels() const { return channels_; }
-  /// [{source, reason, fix}]
-  [[nodiscard]] nlohmann::json missing_json() const;
+  /// [{source, reason, fix}] as JSON text; bytes that are no UTF-8 are replaced.
+  [[nodiscard]] std::string missing_json() const;
   [[nodiscard]] std::string verdict() const;
 
   /// Leaves out the sensors of GPUs that do not trace (probe::keep_gpu). Before start() and

@@ -183,7 +183,7 @@ class Study {
     set("quick", options_.quick ? "1" : "0");
     set("quick_note", options_.quick_note);
     set("clock_method", info.clock_note);
-    set("missing_sensors", sensors_.missing_json().dump());
+    set("missing_sensors", sensors_.missing_json());
     set("verdict", sensors_.verdict());
   }
 
