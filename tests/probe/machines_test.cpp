@@ -155,10 +155,9 @@ TEST(RaptorLakeLaptop, HasItsOtherSensors) {
   EXPECT_THAT(found.missing, missing("thermal", "INT3400"));
   EXPECT_THAT(found.missing, missing("cgroup", "quota"));
   EXPECT_THAT(found.missing, missing("perf", "not under --root"));
-  EXPECT_THAT(verdict(found),
-              AllOf(HasSubstr("energy (rapl.package-0.energy"),
-                    HasSubstr("GPU throttling (i915.gt0.throttle.status"),
-                    HasSubstr("Cannot: cache misses, memory traffic")));
+  EXPECT_THAT(verdict(found), AllOf(HasSubstr("energy (rapl.package-0.energy"),
+                                    HasSubstr("GPU throttling (i915.gt0.throttle.status"),
+                                    HasSubstr("Cannot: cache misses, memory traffic")));
 }
 
 TEST(PhoenixApu, WrapsAtTheRangeOfItsOwnCounter) {
