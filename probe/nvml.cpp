@@ -312,7 +312,7 @@ class GpuQueries {
     Query query;
     for (const ReasonBit& bit : reason_bits)
       query.channels.push_back(
-          channel(bit.name, bit.is_throttle ? Quantity::throttle : Quantity::interference,
+          channel(bit.name, bit.is_throttle ? Quantity::throttle : Quantity::utilization,
                   Unit::count, Kind::flag, fmt::format("{}: {:#x}", function, bit.mask)));
     query.call = [get, device = device_](std::span<int64_t> out) {
       unsigned long long reasons = 0;
