@@ -37,6 +37,8 @@ struct SourceTraits {
   /// The GPU it belongs to: "0000:00:02.0" or, where it is no PCI device, the last part of its
   /// device's path ("17000000.gpu"). Empty: it belongs to none.
   std::string gpu{};
+  /// That GPU's UUID as Vulkan writes it, lower-case hex grouped 8-4-4-4-12; empty if not known.
+  std::string gpu_uuid{};
 };
 
 /// Channels that are read together, at one period.
