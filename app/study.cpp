@@ -144,7 +144,7 @@ class Study {
   void match_sensors() {
     if (options_.root != "/") return;
     const kernels::DeviceInfo& info = device_->info();
-    probe::TracingDevice device{info.name, info.type == "cpu", info.pci_address, {}};
+    probe::TracingDevice device{info.name, info.type == "cpu", info.pci_address, {}, info.uuid};
     for (const auto& node : {info.drm_primary, info.drm_render})
       if (node) device.drm_nodes.emplace_back(node->major, node->minor);
     sensors_.keep_gpu(device, probe::Root(options_.root), config_);

@@ -22,6 +22,9 @@ void keep_gpu(Discovery& discovery, const Root& root, const TracingDevice& devic
   for (const auto& source : discovery.sources)
     if (!source->traits().gpu.empty()) sensed.insert(source->traits().gpu);
   std::optional<std::string> gpu = gpu_of(root, device);
+  for (const auto& source : discovery.sources)
+    if (!device.is_cpu && !device.uuid.empty() && source->traits().gpu_uuid == device.uuid)
+      gpu = source->traits().gpu;
   std::string why;
   if (device.is_cpu) {
     why = fmt::format(
@@ -46,6 +49,7 @@ void keep_gpu(Discovery& discovery, const Root& root, const TracingDevice& devic
         {from.first,
          fmt::format("{} channels of the GPU {} are left out: {}", channel_count, from.second, why),
          ""});
+  if (device.is_cpu && removed.empty()) discovery.missing.push_back({"gpu", why, ""});
   if (!device.is_cpu && (!gpu || !sensed.contains(*gpu)))
     discovery.missing.push_back(
         {"gpu", fmt::format("no sensor of the GPU that traces: {}", why), ""});

@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "probe/file_source.h"
 #include "tree.h"
 
 namespace energyprof::probe {
@@ -58,6 +59,17 @@ TEST_F(TwoGpus, AreToldApartByDrmNode) {
   EXPECT_THAT(names_of(found_), Not(Contains("i915.gt0.act_freq")));
 }
 
+TEST_F(TwoGpus, AreToldApartByUuid) {
+  found_.sources.push_back(std::make_unique<FileSource>(
+      "nvml", 1, std::vector<FileChannel>{},
+      SourceTraits{.gpu = "0000:2d:00.0", .gpu_uuid = "8f1b0000-0000-0000-0000-000000000001"}));
+  keep({"GeForce", false, std::nullopt, {}, "8f1b0000-0000-0000-0000-000000000001"});
+  EXPECT_EQ(found_.sources.back()->name(), "nvml");
+  EXPECT_THAT(names_of(found_), testing::ElementsAre("hwmon.coretemp.temp1.temp"));
+  EXPECT_THAT(found_.missing,
+              Contains(Field(&Missing::reason, HasSubstr("which is 0000:2d:00.0"))));
+}
+
 TEST_F(TwoGpus, ExplainNoFrameOfACpuDevice) {
   keep({"llvmpipe", true, std::nullopt, {}});
   EXPECT_THAT(names_of(found_), testing::ElementsAre("hwmon.coretemp.temp1.temp"));
@@ -75,6 +87,13 @@ TEST_F(TwoGpus, LackTheSensorsOfAThird) {
   keep({"Third", false, "0000:09:00.0", {}});
   EXPECT_THAT(found_.missing,
               Contains(Field(&Missing::reason, HasSubstr("no sensor of the GPU that traces"))));
+}
+
+TEST(KeepGpu, SaysThatACpuDeviceHasNoGpuSensorsWhereThereAreNone) {
+  const Root root(Tree::machine_dir("vm-no-sensors").string());
+  Discovery found;
+  keep_gpu(found, root, {"llvmpipe", true, std::nullopt, {}});
+  EXPECT_THAT(found.missing, Contains(Field(&Missing::reason, HasSubstr("on the CPU"))));
 }
 
 TEST(KeepGpu, TakesTheOnlyGpuForADeviceThatDoesNotSay) {
