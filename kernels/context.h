@@ -76,11 +76,15 @@ Owned<VkCommandPool> make_command_pool(Context& context);
 std::vector<VkCommandBuffer> make_command_buffers(Context& context, VkCommandPool pool,
                                                   uint32_t count);
 void begin_commands(Context& context, VkCommandBuffer commands);
+/// For commands that are submitted several times.
+void begin_repeated_commands(Context& context, VkCommandBuffer commands);
 void end_commands(Context& context, VkCommandBuffer commands);
 Owned<VkFence> make_fence(Context& context);
 
 /// Hands `commands` to the queue; `fence` may be VK_NULL_HANDLE. `what` completes "cannot ...".
-void submit(Context& context, VkCommandBuffer commands, VkFence fence, std::string_view what);
+/// `more` goes to VkSubmitInfo::pNext.
+void submit(Context& context, VkCommandBuffer commands, VkFence fence, std::string_view what,
+            const void* more = nullptr);
 /// Waits for `fence` and resets it. Throws DeviceLost when that takes longer than
 /// DeviceRequest::timeout_ns, and abandons the device.
 void wait_and_reset(Context& context, VkFence fence, std::string_view what);

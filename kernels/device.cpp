@@ -24,12 +24,19 @@ void open_device(Context& context, bool gpu_assisted_validation) {
   info.sType = VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO;
   info.queueCreateInfoCount = 1;
   info.pQueueCreateInfos = &queue;
-  const char* extension = nullptr;
+  std::vector<const char*> extensions;
   if (context.physical.calibration_extension) {
-    extension = context.physical.calibration_extension->c_str();
-    info.enabledExtensionCount = 1;
-    info.ppEnabledExtensionNames = &extension;
+    extensions.push_back(context.physical.calibration_extension->c_str());
   }
+  VkPhysicalDevicePerformanceQueryFeaturesKHR queries{};
+  queries.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PERFORMANCE_QUERY_FEATURES_KHR;
+  queries.performanceCounterQueryPools = VK_TRUE;
+  if (!context.physical.counter_indices.empty()) {
+    extensions.push_back(VK_KHR_PERFORMANCE_QUERY_EXTENSION_NAME);
+    info.pNext = &queries;
+  }
+  info.enabledExtensionCount = static_cast<uint32_t>(extensions.size());
+  info.ppEnabledExtensionNames = extensions.data();
   // The layer's own shader code writes to buffers.
   VkPhysicalDeviceFeatures instrumented{};
   instrumented.vertexPipelineStoresAndAtomics = VK_TRUE;
@@ -115,11 +122,23 @@ std::vector<VkCommandBuffer> make_command_buffers(Context& context, VkCommandPoo
   return buffers;
 }
 
-void begin_commands(Context& context, VkCommandBuffer commands) {
+namespace {
+
+void begin(Context& context, VkCommandBuffer commands, VkCommandBufferUsageFlags flags) {
   VkCommandBufferBeginInfo info{};
   info.sType = VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO;
-  info.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
+  info.flags = flags;
   check(context.api.begin_command_buffer(commands, &info), "record GPU commands");
+}
+
+}  // namespace
+
+void begin_commands(Context& context, VkCommandBuffer commands) {
+  begin(context, commands, VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT);
+}
+
+void begin_repeated_commands(Context& context, VkCommandBuffer commands) {
+  begin(context, commands, 0);
 }
 
 void end_commands(Context& context, VkCommandBuffer commands) {
@@ -134,9 +153,11 @@ Owned<VkFence> make_fence(Context& context) {
   return {context, fence, context.api.destroy_fence};
 }
 
-void submit(Context& context, VkCommandBuffer commands, VkFence fence, std::string_view what) {
+void submit(Context& context, VkCommandBuffer commands, VkFence fence, std::string_view what,
+            const void* more) {
   VkSubmitInfo info{};
   info.sType = VK_STRUCTURE_TYPE_SUBMIT_INFO;
+  info.pNext = more;
   info.commandBufferCount = 1;
   info.pCommandBuffers = &commands;
   check(context.api.queue_submit(context.queue, 1, &info, fence),

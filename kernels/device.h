@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "core/clock.h"
+#include "core/unit.h"
 
 namespace energyprof::kernels {
 
@@ -32,6 +33,18 @@ class OutOfMemory : public std::runtime_error {
 struct DrmNode {
   int64_t major = 0;
   int64_t minor = 0;
+};
+
+/// A hardware counter that the driver offers (VK_KHR_performance_query).
+struct PerformanceCounter {
+  std::string name;  ///< "GtiReadThroughput"
+  std::string category;
+  std::string description;
+  std::string unit;                 ///< as Vulkan calls it: "bytes", "percentage", "generic"
+  std::string scope;                ///< "command", "command buffer" or "render pass"
+  Unit channel_unit = Unit::count;  ///< that TraceProgram::count_hardware() gives values in
+  Quantity quantity = Quantity::utilization;
+  bool is_chosen = false;  ///< counted by TraceProgram::count_hardware()
 };
 
 /// What a device says about itself.
@@ -58,6 +71,8 @@ struct DeviceInfo {
   uint32_t timestamp_valid_bits = 0;   ///< of the compute queue; the counter wraps at 2^this
   bool calibrated_timestamps = false;  ///< GPU ticks can be read together with CLOCK_MONOTONIC
   std::string clock_note;  ///< how GPU time becomes host time on this device, and why so
+  std::vector<PerformanceCounter> performance_counters;  ///< of the compute queue
+  std::string no_counters_reason;  ///< why there are no performance counters; empty: there are
 };
 
 /// A device that was not taken.

@@ -9,6 +9,7 @@
 #include <span>
 #include <stdexcept>
 
+#include "kernels/performance_counters.h"
 #include "kernels/pipeline.h"
 
 namespace energyprof::kernels {
@@ -127,6 +128,7 @@ class Inspector {
     candidate.unusable = choose_queue(physical, info);
     if (candidate.unusable.empty()) candidate.unusable = missing_limit();
     if (candidate.unusable.empty()) choose_clock(physical, info);
+    if (candidate.unusable.empty()) info.no_counters_reason = find_counters(physical, info);
   }
 
  private:
@@ -239,6 +241,60 @@ class Inspector {
     }
     info.clock_note =
         fmt::format("{} is missing: {}", VK_EXT_CALIBRATED_TIMESTAMPS_EXTENSION_NAME, fallback);
+  }
+
+  /// Fills in the performance counters; else returns why there are none.
+  std::string find_counters(PhysicalDevice& physical, DeviceInfo& info) const {
+    if (!has(VK_KHR_PERFORMANCE_QUERY_EXTENSION_NAME) ||
+        api_.enumerate_performance_counters == nullptr ||
+        api_.get_performance_query_passes == nullptr) {
+      return fmt::format("the driver offers no {}", VK_KHR_PERFORMANCE_QUERY_EXTENSION_NAME);
+    }
+    VkPhysicalDevicePerformanceQueryFeaturesKHR queries{};
+    queries.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PERFORMANCE_QUERY_FEATURES_KHR;
+    VkPhysicalDeviceFeatures2 features{};
+    features.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2;
+    features.pNext = &queries;
+    api_.get_physical_device_features2(device_, &features);
+    if (queries.performanceCounterQueryPools == VK_FALSE) {
+      return "the driver does not allow performanceCounterQueryPools";
+    }
+    std::vector<VkPerformanceCounterDescriptionKHR> texts;
+    const auto counters = enumerate<VkPerformanceCounterKHR>(
+        "list the performance counters of a Vulkan device",
+        [&](uint32_t* count, VkPerformanceCounterKHR* out) {
+          VkPerformanceCounterKHR empty{};
+          empty.sType = VK_STRUCTURE_TYPE_PERFORMANCE_COUNTER_KHR;
+          VkPerformanceCounterDescriptionKHR empty_text{};
+          empty_text.sType = VK_STRUCTURE_TYPE_PERFORMANCE_COUNTER_DESCRIPTION_KHR;
+          if (out != nullptr) std::fill_n(out, *count, empty);
+          texts.assign(out == nullptr ? 0 : *count, empty_text);
+          return api_.enumerate_performance_counters(device_, physical.queue_family, count, out,
+                                                     out == nullptr ? nullptr : texts.data());
+        });
+    if (counters.empty()) return "the driver has no performance counters for compute";
+    for (size_t i = 0; i < counters.size(); ++i) {
+      info.performance_counters.push_back(describe_counter(counters[i], texts[i]));
+    }
+    const PassCount pass_count = [&](std::span<const uint32_t> indices) {
+      VkQueryPoolPerformanceCreateInfoKHR query{};
+      query.sType = VK_STRUCTURE_TYPE_QUERY_POOL_PERFORMANCE_CREATE_INFO_KHR;
+      query.queueFamilyIndex = physical.queue_family;
+      query.counterIndexCount = static_cast<uint32_t>(indices.size());
+      query.pCounterIndices = indices.data();
+      uint32_t passes = 0;
+      api_.get_performance_query_passes(device_, &query, &passes);
+      return passes;
+    };
+    physical.counter_indices = choose_counters(info.performance_counters, pass_count);
+    for (const uint32_t i : physical.counter_indices) {
+      info.performance_counters[i].is_chosen = true;
+      physical.counters.push_back(counters[i]);
+    }
+    if (!physical.counter_indices.empty()) {
+      physical.counter_pass_count = pass_count(physical.counter_indices);
+    }
+    return {};
   }
 
   const InstanceApi& api_;

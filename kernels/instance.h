@@ -29,6 +29,10 @@ struct PhysicalDevice {
   uint32_t queue_family = 0;
   /// The extension that calibrates against CLOCK_MONOTONIC; absent: none does.
   std::optional<std::string> calibration_extension;
+  /// The counters chosen, by Vulkan's index; empty: nothing is to be enabled for them.
+  std::vector<uint32_t> counter_indices;
+  std::vector<VkPerformanceCounterKHR> counters;  ///< same order as `counter_indices`
+  uint32_t counter_pass_count = 0;
 };
 
 /// Owns a VkInstance.

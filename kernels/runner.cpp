@@ -15,6 +15,7 @@
 #include "kernels/buffer.h"
 #include "kernels/clock_sync.h"
 #include "kernels/context.h"
+#include "kernels/performance_counters.h"
 #include "kernels/pipeline.h"
 #include "kernels/reduce_layout.h"
 #include "kernels/tiling.h"
@@ -124,6 +125,44 @@ Owned<VkQueryPool> make_timestamps(Context& context, uint32_t count) {
   return {context, pool, context.api.destroy_query_pool};
 }
 
+Owned<VkQueryPool> make_counter_query(Context& context) {
+  const PhysicalDevice& physical = context.physical;
+  VkQueryPoolPerformanceCreateInfoKHR counters{};
+  counters.sType = VK_STRUCTURE_TYPE_QUERY_POOL_PERFORMANCE_CREATE_INFO_KHR;
+  counters.queueFamilyIndex = physical.queue_family;
+  counters.counterIndexCount = static_cast<uint32_t>(physical.counter_indices.size());
+  counters.pCounterIndices = physical.counter_indices.data();
+  VkQueryPoolCreateInfo info{};
+  info.sType = VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO;
+  info.pNext = &counters;
+  info.queryType = VK_QUERY_TYPE_PERFORMANCE_QUERY_KHR;
+  info.queryCount = 1;
+  VkQueryPool pool = VK_NULL_HANDLE;
+  check(context.api.create_query_pool(context.device, &info, nullptr, &pool),
+        fmt::format("create a query of {} performance counters", physical.counter_indices.size()));
+  return {context, pool, context.api.destroy_query_pool};
+}
+
+/// The GPU's counters while they are reserved for this process.
+class ProfilingLock {
+ public:
+  explicit ProfilingLock(Context& context) : context_(context) {
+    VkAcquireProfilingLockInfoKHR info{};
+    info.sType = VK_STRUCTURE_TYPE_ACQUIRE_PROFILING_LOCK_INFO_KHR;
+    info.timeout = static_cast<uint64_t>(ns_per_s);
+    check(context.api.acquire_profiling_lock(context.device, &info),
+          fmt::format("reserve the performance counters of '{}'", context.info.name));
+  }
+  ~ProfilingLock() {
+    if (!context_.abandoned) context_.api.release_profiling_lock(context_.device);
+  }
+  ProfilingLock(const ProfilingLock&) = delete;
+  ProfilingLock& operator=(const ProfilingLock&) = delete;
+
+ private:
+  Context& context_;
+};
+
 }  // namespace
 
 struct TraceProgram::Impl {
@@ -133,9 +172,12 @@ struct TraceProgram::Impl {
   Impl& operator=(const Impl&) = delete;
 
   FrameRecord run_frame(uint32_t frame, Phase phase);
+  std::optional<HardwareCounts> count_hardware(uint32_t frame);
 
   // The steps of a frame.
   void settle();
+  void bind(VkCommandBuffer commands, VkPipeline pipeline);
+  void dispatch_tile(VkCommandBuffer commands, uint32_t tile);
   void record_tile(VkCommandBuffer commands, uint32_t tile, VkPipeline pipeline);
   void record_reduce();
   TickSpan read_timestamps(uint32_t tile_count);
@@ -177,6 +219,7 @@ struct TraceProgram::Impl {
 
   uint32_t rows_per_dispatch = 0;
   int64_t slowest_dispatch_ns = 0;  ///< of the last frame
+  int64_t frame_ns = 0;             ///< how long the last frame took
   bool in_flight = false;           ///< submitted and not waited for: the last frame failed
   bool has_hits = false;
   std::optional<WorkSums> work;  ///< of the last counted frame
@@ -251,23 +294,31 @@ void TraceProgram::Impl::settle() {
   in_flight = false;
 }
 
-void TraceProgram::Impl::record_tile(VkCommandBuffer commands, uint32_t tile, VkPipeline pipeline) {
-  const DeviceApi& api = context.api;
+void TraceProgram::Impl::bind(VkCommandBuffer commands, VkPipeline pipeline) {
+  const VkDescriptorSet set = buffers.get();
+  context.api.cmd_bind_pipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
+  context.api.cmd_bind_descriptor_sets(commands, VK_PIPELINE_BIND_POINT_COMPUTE, layout.get(), 0, 1,
+                                       &set, 0, nullptr);
+}
+
+void TraceProgram::Impl::dispatch_tile(VkCommandBuffer commands, uint32_t tile) {
   gpu::FrameConstants tile_constants = constants;
   tile_constants.first_row = tile * rows_per_dispatch;
   tile_constants.row_count =
       std::min(rows_per_dispatch, constants.height - tile_constants.first_row);
-  const VkDescriptorSet set = buffers.get();
+  context.api.cmd_push_constants(commands, layout.get(), VK_SHADER_STAGE_COMPUTE_BIT, 0,
+                                 sizeof tile_constants, &tile_constants);
+  context.api.cmd_dispatch(commands, div_up(constants.width, config.local_x),
+                           div_up(tile_constants.row_count, config.local_y), 1);
+}
+
+void TraceProgram::Impl::record_tile(VkCommandBuffer commands, uint32_t tile, VkPipeline pipeline) {
+  const DeviceApi& api = context.api;
   begin_commands(context, commands);
   api.cmd_reset_query_pool(commands, timestamps.get(), 2 * tile, 2);
-  api.cmd_bind_pipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
-  api.cmd_bind_descriptor_sets(commands, VK_PIPELINE_BIND_POINT_COMPUTE, layout.get(), 0, 1, &set,
-                               0, nullptr);
-  api.cmd_push_constants(commands, layout.get(), VK_SHADER_STAGE_COMPUTE_BIT, 0,
-                         sizeof tile_constants, &tile_constants);
+  bind(commands, pipeline);
   api.cmd_write_timestamp(commands, VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT, timestamps.get(), 2 * tile);
-  api.cmd_dispatch(commands, div_up(constants.width, config.local_x),
-                   div_up(tile_constants.row_count, config.local_y), 1);
+  dispatch_tile(commands, tile);
   api.cmd_write_timestamp(commands, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, timestamps.get(),
                           2 * tile + 1);
   end_commands(context, commands);
@@ -365,6 +416,7 @@ FrameRecord TraceProgram::Impl::run_frame(uint32_t frame, Phase phase) {
   const TickSpan span = read_timestamps(tile_count);
   const HostSpan host = calibration ? place_by_calibration(*calibration, span, scale)
                                     : place_by_enclosure(record.submit_ns, done_ns, span, scale);
+  frame_ns = host.end_ns - host.begin_ns;
   record.begin_ns = host.begin_ns;
   record.end_ns = host.end_ns;
   record.clock_error_ns = host.error_ns;
@@ -399,6 +451,64 @@ FrameRecord TraceProgram::Impl::run_frame(uint32_t frame, Phase phase) {
   return record;
 }
 
+std::optional<HardwareCounts> TraceProgram::Impl::count_hardware(uint32_t frame) {
+  constexpr int64_t longest_submission_ns = ns_per_s;
+  const PhysicalDevice& physical = context.physical;
+  if (physical.counter_indices.empty()) return std::nullopt;
+  if (context.info.type != "cpu" && frame_ns > longest_submission_ns) {
+    throw std::runtime_error(fmt::format(
+        "cannot count with the GPU's own counters: a frame took {:.2g} s, more than {:.2g} s in "
+        "one submission may be taken for a hang. Take a smaller model or image.",
+        static_cast<double>(frame_ns) / ns_per_s,
+        static_cast<double>(longest_submission_ns) / ns_per_s));
+  }
+  settle();
+  constants.frame = frame;
+  const DeviceApi& api = context.api;
+  const Owned<VkQueryPool> query = make_counter_query(context);
+  const Owned<VkCommandPool> commands_pool = make_command_pool(context);
+  const auto commands = make_command_buffers(context, commands_pool.get(), 2);
+  HardwareCounts counts;
+  std::vector<VkPerformanceCounterResultKHR> results(physical.counters.size());
+  counts.begin_ns = now_ns();
+  {
+    // To be held while queries are recorded, too.
+    const ProfilingLock lock(context);
+    begin_commands(context, commands[0]);
+    api.cmd_reset_query_pool(commands[0], query.get(), 0, 1);
+    end_commands(context, commands[0]);
+    // The query is the first and the last command, as counters of whole command buffers want it.
+    begin_repeated_commands(context, commands[1]);
+    api.cmd_begin_query(commands[1], query.get(), 0, 0);
+    bind(commands[1], timed_pipeline.get());
+    for (uint32_t tile = 0; tile < div_up(constants.height, rows_per_dispatch); ++tile) {
+      dispatch_tile(commands[1], tile);
+    }
+    api.cmd_end_query(commands[1], query.get(), 0);
+    end_commands(context, commands[1]);
+    in_flight = true;
+    submit(context, commands[0], fence.get(), "reset the performance counters");
+    wait_and_reset(context, fence.get(), "reset the performance counters");
+    for (uint32_t pass = 0; pass < physical.counter_pass_count; ++pass) {
+      VkPerformanceQuerySubmitInfoKHR which{};
+      which.sType = VK_STRUCTURE_TYPE_PERFORMANCE_QUERY_SUBMIT_INFO_KHR;
+      which.counterPassIndex = pass;
+      submit(context, commands[1], fence.get(), "trace a frame under performance counters", &which);
+      wait_and_reset(context, fence.get(), "trace a frame under performance counters");
+    }
+    in_flight = false;
+    const size_t bytes = results.size() * sizeof results.front();
+    check(api.get_query_pool_results(context.device, query.get(), 0, 1, bytes, results.data(),
+                                     bytes, 0),
+          "read the performance counters");
+  }
+  counts.end_ns = now_ns();
+  for (size_t i = 0; i < results.size(); ++i) {
+    counts.values.push_back(counter_value(physical.counters[i], results[i]));
+  }
+  return counts;
+}
+
 TraceProgram::TraceProgram(Device& device, const TraceSetup& setup)
     : impl_(std::make_unique<Impl>(device, setup)) {}
 TraceProgram::~TraceProgram() = default;
@@ -407,6 +517,10 @@ TraceProgram& TraceProgram::operator=(TraceProgram&&) noexcept = default;
 
 FrameRecord TraceProgram::run_frame(uint32_t frame, Phase phase) {
   return impl_->run_frame(frame, phase);
+}
+
+std::optional<HardwareCounts> TraceProgram::count_hardware(uint32_t frame) {
+  return impl_->count_hardware(frame);
 }
 
 std::vector<gpu::PixelHits> TraceProgram::read_hits() const {

@@ -48,6 +48,15 @@ inline constexpr uint32_t max_stack_size = 128;
 /// the shader's other loops.
 inline constexpr int64_t max_cpu_subgroup_steps = 65'000;
 
+/// What the GPU's own counters said while one frame was traced.
+struct HardwareCounts {
+  int64_t begin_ns = 0;  ///< host time, from before the counters were reserved ...
+  int64_t end_ns = 0;    ///< ... until they were given back
+  /// One for each chosen counter (DeviceInfo::performance_counters, PerformanceCounter::is_chosen),
+  /// in its channel_unit; absent: the driver gave no number.
+  std::vector<std::optional<int64_t>> values;
+};
+
 /// Not thread-safe; programs of one Device must not run at the same time.
 class TraceProgram {
  public:
@@ -65,6 +74,13 @@ class TraceProgram {
   /// Throws DeviceLost, OutOfMemory; std::runtime_error if a counted frame on a CPU device needed
   /// more loop steps than max_cpu_subgroup_steps.
   FrameRecord run_frame(uint32_t frame, Phase phase);
+
+  /// Traces frame `frame` again with the kernel of timed frames, as often as the chosen counters
+  /// need passes, and returns what they counted; nullopt if the device has none. Reserving the
+  /// counters changes clocks (RADV) or keeps the GPU awake (ANV): never between timed frames.
+  /// Throws DeviceLost, OutOfMemory; std::runtime_error if the counters are in use elsewhere, or
+  /// frames take too long for one submission.
+  std::optional<HardwareCounts> count_hardware(uint32_t frame);
 
   /// The last frame's hits, row by row from the top; empty before the first frame.
   [[nodiscard]] std::vector<gpu::PixelHits> read_hits() const;

@@ -72,6 +72,10 @@ InstanceApi load_instance_api(const LoaderApi& loader, VkInstance instance) {
   get("vkGetDeviceProcAddr", api.get_device_proc_addr);
   load_either(loader, instance, "vkGetPhysicalDeviceCalibrateableTimeDomainsKHR",
               "vkGetPhysicalDeviceCalibrateableTimeDomainsEXT", api.get_calibrateable_time_domains);
+  get("vkGetPhysicalDeviceFeatures2", api.get_physical_device_features2);
+  get("vkEnumeratePhysicalDeviceQueueFamilyPerformanceQueryCountersKHR",
+      api.enumerate_performance_counters);
+  get("vkGetPhysicalDeviceQueueFamilyPerformanceQueryPassesKHR", api.get_performance_query_passes);
   get("vkCreateDebugUtilsMessengerEXT", api.create_debug_utils_messenger);
   get("vkDestroyDebugUtilsMessengerEXT", api.destroy_debug_utils_messenger);
   return api;
@@ -126,6 +130,10 @@ DeviceApi load_device_api(const InstanceApi& instance, VkDevice device) {
   get("vkCmdCopyBuffer", api.cmd_copy_buffer);
   get("vkCmdResetQueryPool", api.cmd_reset_query_pool);
   get("vkCmdWriteTimestamp", api.cmd_write_timestamp);
+  get("vkCmdBeginQuery", api.cmd_begin_query);
+  get("vkCmdEndQuery", api.cmd_end_query);
+  get("vkAcquireProfilingLockKHR", api.acquire_profiling_lock);
+  get("vkReleaseProfilingLockKHR", api.release_profiling_lock);
   load_either(instance, device, "vkGetCalibratedTimestampsKHR", "vkGetCalibratedTimestampsEXT",
               api.get_calibrated_timestamps);
   return api;

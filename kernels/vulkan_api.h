@@ -30,7 +30,12 @@ struct InstanceApi {
   PFN_vkEnumerateDeviceExtensionProperties enumerate_device_extension_properties = nullptr;
   PFN_vkCreateDevice create_device = nullptr;
   PFN_vkGetDeviceProcAddr get_device_proc_addr = nullptr;
-  /// These three are null where the extension is absent.
+  PFN_vkGetPhysicalDeviceFeatures2 get_physical_device_features2 = nullptr;
+  /// From here on null where the extension is absent.
+  PFN_vkEnumeratePhysicalDeviceQueueFamilyPerformanceQueryCountersKHR
+      enumerate_performance_counters = nullptr;
+  PFN_vkGetPhysicalDeviceQueueFamilyPerformanceQueryPassesKHR get_performance_query_passes =
+      nullptr;
   PFN_vkGetPhysicalDeviceCalibrateableTimeDomainsEXT get_calibrateable_time_domains = nullptr;
   PFN_vkCreateDebugUtilsMessengerEXT create_debug_utils_messenger = nullptr;
   PFN_vkDestroyDebugUtilsMessengerEXT destroy_debug_utils_messenger = nullptr;
@@ -82,6 +87,11 @@ struct DeviceApi {
   PFN_vkCmdCopyBuffer cmd_copy_buffer = nullptr;
   PFN_vkCmdResetQueryPool cmd_reset_query_pool = nullptr;
   PFN_vkCmdWriteTimestamp cmd_write_timestamp = nullptr;
+  PFN_vkCmdBeginQuery cmd_begin_query = nullptr;
+  PFN_vkCmdEndQuery cmd_end_query = nullptr;
+  /// Null unless performance queries were enabled.
+  PFN_vkAcquireProfilingLockKHR acquire_profiling_lock = nullptr;
+  PFN_vkReleaseProfilingLockKHR release_profiling_lock = nullptr;
   /// Null unless calibrated timestamps were enabled.
   PFN_vkGetCalibratedTimestampsEXT get_calibrated_timestamps = nullptr;
 };

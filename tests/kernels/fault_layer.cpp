@@ -12,6 +12,9 @@
 //   tick-period:X       a GPU tick takes X ns (the driver's takes 1 ns)
 //   small-range         maxStorageBufferRange is 1 MiB
 //   device-type:T       the device is of type integrated, discrete or virtual
+//   counters:N          VK_KHR_performance_query is there, with counters that take N passes. They
+//                       give their values only to who goes about it as Vulkan demands
+//   counters-busy       another process holds the profiling lock
 //
 // N counts from 1. The counters start anew when EP_FAULT changes.
 #include <vulkan/vk_layer.h>
@@ -19,6 +22,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cstdio>
 #include <cstdlib>
 #include <map>
 #include <mutex>
@@ -34,6 +38,7 @@
 namespace {
 
 constexpr std::string_view layer_name = "VK_LAYER_ENERGYPROF_fault";
+constexpr std::string_view counter_extension = VK_KHR_PERFORMANCE_QUERY_EXTENSION_NAME;
 
 class Faults {
  public:
@@ -65,6 +70,8 @@ class Faults {
   uint64_t wait_count = 0;
   uint64_t allocation_count = 0;
   std::optional<uint64_t> first_tick;
+  bool has_lock = false;
+  std::optional<uint64_t> passes;  ///< begun since the query was reset
 
  private:
   std::string text_;
@@ -87,6 +94,7 @@ struct InstanceNext {
     load("vkGetPhysicalDeviceQueueFamilyProperties", get_queue_families);
     load("vkEnumerateDeviceExtensionProperties", enumerate_extensions);
     load("vkGetPhysicalDeviceCalibrateableTimeDomainsEXT", get_time_domains);
+    load("vkGetPhysicalDeviceFeatures2", get_features2);
   }
 
   VkInstance instance = VK_NULL_HANDLE;
@@ -98,6 +106,7 @@ struct InstanceNext {
   PFN_vkGetPhysicalDeviceQueueFamilyProperties get_queue_families = nullptr;
   PFN_vkEnumerateDeviceExtensionProperties enumerate_extensions = nullptr;
   PFN_vkGetPhysicalDeviceCalibrateableTimeDomainsEXT get_time_domains = nullptr;
+  PFN_vkGetPhysicalDeviceFeatures2 get_features2 = nullptr;
 };
 
 struct DeviceNext {
@@ -112,6 +121,9 @@ struct DeviceNext {
     load("vkQueueSubmit", queue_submit);
     load("vkWaitForFences", wait_for_fences);
     load("vkAllocateMemory", allocate_memory);
+    load("vkCreateQueryPool", create_query_pool);
+    load("vkDestroyQueryPool", destroy_query_pool);
+    load("vkCmdResetQueryPool", reset_query_pool);
   }
 
   PFN_vkGetDeviceProcAddr get = nullptr;
@@ -121,6 +133,9 @@ struct DeviceNext {
   PFN_vkQueueSubmit queue_submit = nullptr;
   PFN_vkWaitForFences wait_for_fences = nullptr;
   PFN_vkAllocateMemory allocate_memory = nullptr;
+  PFN_vkCreateQueryPool create_query_pool = nullptr;
+  PFN_vkDestroyQueryPool destroy_query_pool = nullptr;
+  PFN_vkCmdResetQueryPool reset_query_pool = nullptr;
 };
 
 std::mutex mutex;
@@ -128,6 +143,8 @@ Faults faults;
 std::map<void*, InstanceNext> instances;
 std::map<void*, DeviceNext> devices;
 std::set<void*> lost_devices;
+std::set<VkQueryPool> counter_pools;          // the driver knows them as timestamps
+std::set<VkCommandBuffer> counting_commands;  // they hold a query of counters
 
 /// Handles of one instance, or of one device, begin with the same pointer.
 void* key(const void* handle) { return *static_cast<void* const*>(handle); }
@@ -166,6 +183,17 @@ void VKAPI_CALL destroy_instance(VkInstance instance, const VkAllocationCallback
   destroy(instance, allocator);
 }
 
+/// Takes the structure of this type out of a pNext chain, if there is one.
+template <typename Info>
+void take_out(const Info* info, VkStructureType type) {
+  auto* link = reinterpret_cast<VkBaseOutStructure*>(const_cast<Info*>(info));
+  for (; link->pNext != nullptr; link = link->pNext)
+    if (link->pNext->sType == type) {
+      link->pNext = link->pNext->pNext;
+      return;
+    }
+}
+
 VkResult VKAPI_CALL create_device(VkPhysicalDevice physical, const VkDeviceCreateInfo* info,
                                   const VkAllocationCallbacks* allocator, VkDevice* device) {
   const std::lock_guard lock(mutex);
@@ -173,7 +201,17 @@ VkResult VKAPI_CALL create_device(VkPhysicalDevice physical, const VkDeviceCreat
       find_link<VkLayerDeviceCreateInfo, VK_STRUCTURE_TYPE_LOADER_DEVICE_CREATE_INFO>(info->pNext);
   const PFN_vkGetDeviceProcAddr get = link->u.pLayerInfo->pfnNextGetDeviceProcAddr;
   link->u.pLayerInfo = link->u.pLayerInfo->pNext;
-  const VkResult result = instance_of(physical).create_device(physical, info, allocator, device);
+  // What only this layer has is not the driver's business.
+  take_out(info, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PERFORMANCE_QUERY_FEATURES_KHR);
+  VkDeviceCreateInfo reduced = *info;
+  std::vector<const char*> extensions(info->ppEnabledExtensionNames,
+                                      info->ppEnabledExtensionNames + info->enabledExtensionCount);
+  if (faults.has("counters"))
+    std::erase_if(extensions, [](std::string_view name) { return name == counter_extension; });
+  reduced.enabledExtensionCount = static_cast<uint32_t>(extensions.size());
+  reduced.ppEnabledExtensionNames = extensions.data();
+  const VkResult result =
+      instance_of(physical).create_device(physical, &reduced, allocator, device);
   if (result == VK_SUCCESS) {
     devices[key(*device)] = DeviceNext(*device, get);
     lost_devices.erase(key(*device));
@@ -242,14 +280,22 @@ VkResult VKAPI_CALL enumerate_extensions(VkPhysicalDevice physical, const char* 
   const std::lock_guard lock(mutex);
   if (layer != nullptr && layer == layer_name) return give<VkExtensionProperties>({}, count, out);
   const auto next = instance_of(physical).enumerate_extensions;
-  if (!faults.has("no-calibrated")) return next(physical, layer, count, out);
+  if (!faults.has("no-calibrated") && !faults.has("counters")) {
+    return next(physical, layer, count, out);
+  }
   uint32_t all_count = 0;
   next(physical, layer, &all_count, nullptr);
   std::vector<VkExtensionProperties> all(all_count);
   next(physical, layer, &all_count, all.data());
   std::erase_if(all, [](const VkExtensionProperties& extension) {
-    return std::string_view(extension.extensionName).ends_with("_calibrated_timestamps");
+    return faults.has("no-calibrated") &&
+           std::string_view(extension.extensionName).ends_with("_calibrated_timestamps");
   });
+  if (faults.has("counters")) {
+    VkExtensionProperties extension{};
+    counter_extension.copy(extension.extensionName, sizeof extension.extensionName - 1);
+    all.push_back(extension);
+  }
   return give(all, count, out);
 }
 
@@ -260,6 +306,129 @@ VkResult VKAPI_CALL get_time_domains(VkPhysicalDevice physical, uint32_t* count,
   if (!faults.has("no-monotonic")) return next(physical, count, out);
   return give<VkTimeDomainEXT>({VK_TIME_DOMAIN_DEVICE_EXT, VK_TIME_DOMAIN_CLOCK_MONOTONIC_RAW_EXT},
                                count, out);
+}
+
+void VKAPI_CALL get_features2(VkPhysicalDevice physical, VkPhysicalDeviceFeatures2* features) {
+  const std::lock_guard lock(mutex);
+  instance_of(physical).get_features2(physical, features);
+  auto* item = reinterpret_cast<VkBaseOutStructure*>(features);
+  for (; item != nullptr; item = item->pNext)
+    if (item->sType == VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PERFORMANCE_QUERY_FEATURES_KHR)
+      reinterpret_cast<VkPhysicalDevicePerformanceQueryFeaturesKHR*>(item)
+          ->performanceCounterQueryPools = faults.has("counters") ? VK_TRUE : VK_FALSE;
+}
+
+/// The counters of a GPU that there is not.
+struct FakeCounter {
+  const char* name;
+  VkPerformanceCounterUnitKHR unit;
+  VkPerformanceCounterStorageKHR storage;
+  VkPerformanceCounterResultKHR result;
+};
+std::vector<FakeCounter> fake_counters() {
+  VkPerformanceCounterResultKHR time{};
+  time.uint64 = 5'000'000;
+  VkPerformanceCounterResultKHR read{};
+  read.float32 = 65'536.0F;
+  VkPerformanceCounterResultKHR stall{};
+  stall.float32 = 37.25F;
+  VkPerformanceCounterResultKHR misses{};
+  misses.uint32 = 4'000'000'000;
+  return {{"GpuTime", VK_PERFORMANCE_COUNTER_UNIT_NANOSECONDS_KHR,
+           VK_PERFORMANCE_COUNTER_STORAGE_UINT64_KHR, time},
+          {"GtiReadThroughput", VK_PERFORMANCE_COUNTER_UNIT_BYTES_KHR,
+           VK_PERFORMANCE_COUNTER_STORAGE_FLOAT32_KHR, read},
+          {"EuStall", VK_PERFORMANCE_COUNTER_UNIT_PERCENTAGE_KHR,
+           VK_PERFORMANCE_COUNTER_STORAGE_FLOAT32_KHR, stall},
+          {"L3 misses", VK_PERFORMANCE_COUNTER_UNIT_GENERIC_KHR,
+           VK_PERFORMANCE_COUNTER_STORAGE_UINT32_KHR, misses}};
+}
+
+VkResult VKAPI_CALL enumerate_counters(VkPhysicalDevice, uint32_t, uint32_t* count,
+                                       VkPerformanceCounterKHR* counters,
+                                       VkPerformanceCounterDescriptionKHR* descriptions) {
+  const std::vector<FakeCounter> fakes = fake_counters();
+  if (counters != nullptr) {
+    for (size_t i = 0; i < std::min<size_t>(*count, fakes.size()); ++i) {
+      counters[i].unit = fakes[i].unit;
+      counters[i].storage = fakes[i].storage;
+      counters[i].scope = VK_PERFORMANCE_COUNTER_SCOPE_COMMAND_KHR;
+      std::snprintf(descriptions[i].name, sizeof descriptions[i].name, "%s", fakes[i].name);
+      std::snprintf(descriptions[i].category, sizeof descriptions[i].category, "Fake");
+      std::snprintf(descriptions[i].description, sizeof descriptions[i].description, "Not real");
+    }
+  }
+  *count = static_cast<uint32_t>(fakes.size());
+  return VK_SUCCESS;
+}
+
+void VKAPI_CALL get_counter_passes(VkPhysicalDevice, const VkQueryPoolPerformanceCreateInfoKHR*,
+                                   uint32_t* passes) {
+  const std::lock_guard lock(mutex);
+  *passes = static_cast<uint32_t>(faults.number("counters").value_or(0));
+}
+
+VkResult VKAPI_CALL acquire_profiling_lock(VkDevice, const VkAcquireProfilingLockInfoKHR*) {
+  const std::lock_guard lock(mutex);
+  if (faults.has("counters-busy")) return VK_TIMEOUT;
+  faults.has_lock = true;
+  return VK_SUCCESS;
+}
+
+void VKAPI_CALL release_profiling_lock(VkDevice) {
+  const std::lock_guard lock(mutex);
+  faults.has_lock = false;
+}
+
+VkResult VKAPI_CALL create_query_pool(VkDevice device, const VkQueryPoolCreateInfo* info,
+                                      const VkAllocationCallbacks* allocator, VkQueryPool* pool) {
+  const std::lock_guard lock(mutex);
+  VkQueryPoolCreateInfo replaced = *info;
+  const bool counts = info->queryType == VK_QUERY_TYPE_PERFORMANCE_QUERY_KHR;
+  if (counts) {
+    replaced.pNext = nullptr;
+    replaced.queryType = VK_QUERY_TYPE_TIMESTAMP;
+  }
+  const VkResult result = device_of(device).create_query_pool(device, &replaced, allocator, pool);
+  if (result == VK_SUCCESS && counts) counter_pools.insert(*pool);
+  return result;
+}
+
+void VKAPI_CALL destroy_query_pool(VkDevice device, VkQueryPool pool,
+                                   const VkAllocationCallbacks* allocator) {
+  const std::lock_guard lock(mutex);
+  if (counter_pools.erase(pool) != 0) counting_commands.clear();
+  device_of(device).destroy_query_pool(device, pool, allocator);
+}
+
+void VKAPI_CALL reset_query_pool(VkCommandBuffer commands, VkQueryPool pool, uint32_t first,
+                                 uint32_t count) {
+  const std::lock_guard lock(mutex);
+  if (counter_pools.contains(pool)) {
+    // Not in the commands that hold the query.
+    if (!counting_commands.contains(commands)) faults.passes = 0;
+    return;
+  }
+  device_of(commands).reset_query_pool(commands, pool, first, count);
+}
+
+void VKAPI_CALL begin_query(VkCommandBuffer commands, VkQueryPool, uint32_t, VkQueryControlFlags) {
+  const std::lock_guard lock(mutex);
+  if (faults.has_lock) counting_commands.insert(commands);
+}
+
+void VKAPI_CALL end_query(VkCommandBuffer, VkQueryPool, uint32_t) {}
+
+/// Values if the query was reset and every pass ran, each with the lock held.
+VkResult give_counters(size_t size, void* data) {
+  const std::vector<FakeCounter> fakes = fake_counters();
+  const bool all_chosen = size == fakes.size() * sizeof(VkPerformanceCounterResultKHR);
+  const uint64_t passes = faults.number("counters").value_or(0);
+  if (faults.passes != (uint64_t{1} << passes) - 1) return VK_NOT_READY;
+  auto* results = static_cast<VkPerformanceCounterResultKHR*>(data);
+  // With several passes the first one, GpuTime, is not chosen.
+  for (size_t i = all_chosen ? 0 : 1; i < fakes.size(); ++i) *results++ = fakes[i].result;
+  return VK_SUCCESS;
 }
 
 /// The driver's ticks (1 ns) as the clock that EP_FAULT describes would show them.
@@ -290,6 +459,7 @@ VkResult VKAPI_CALL get_query_results(VkDevice device, VkQueryPool pool, uint32_
                                       uint32_t count, size_t size, void* data, VkDeviceSize stride,
                                       VkQueryResultFlags flags) {
   const std::lock_guard lock(mutex);
+  if (counter_pools.contains(pool)) return give_counters(size, data);
   const VkResult result =
       device_of(device).get_query_results(device, pool, first, count, size, data, stride, flags);
   auto* ticks = static_cast<uint64_t*>(data);
@@ -303,7 +473,16 @@ VkResult VKAPI_CALL queue_submit(VkQueue queue, uint32_t count, const VkSubmitIn
   ++faults.submit_count;
   if (faults.submit_count == faults.number("device-lost")) lost_devices.insert(key(queue));
   if (lost_devices.contains(key(queue))) return VK_ERROR_DEVICE_LOST;
-  return device_of(queue).queue_submit(queue, count, infos, fence);
+  const auto* pass = static_cast<const VkPerformanceQuerySubmitInfoKHR*>(infos->pNext);
+  if (pass == nullptr || pass->sType != VK_STRUCTURE_TYPE_PERFORMANCE_QUERY_SUBMIT_INFO_KHR) {
+    return device_of(queue).queue_submit(queue, count, infos, fence);
+  }
+  if (faults.has_lock && faults.passes && counting_commands.contains(*infos->pCommandBuffers)) {
+    *faults.passes |= uint64_t{1} << pass->counterPassIndex;
+  }
+  VkSubmitInfo plain = *infos;
+  plain.pNext = nullptr;
+  return device_of(queue).queue_submit(queue, 1, &plain, fence);
 }
 
 VkResult VKAPI_CALL wait_for_fences(VkDevice device, uint32_t count, const VkFence* fences,
@@ -358,6 +537,13 @@ PFN_vkVoidFunction own_device_function(const char* name) {
       {"vkQueueSubmit", erase_type(queue_submit)},
       {"vkWaitForFences", erase_type(wait_for_fences)},
       {"vkAllocateMemory", erase_type(allocate_memory)},
+      {"vkCreateQueryPool", erase_type(create_query_pool)},
+      {"vkDestroyQueryPool", erase_type(destroy_query_pool)},
+      {"vkCmdResetQueryPool", erase_type(reset_query_pool)},
+      {"vkCmdBeginQuery", erase_type(begin_query)},
+      {"vkCmdEndQuery", erase_type(end_query)},
+      {"vkAcquireProfilingLockKHR", erase_type(acquire_profiling_lock)},
+      {"vkReleaseProfilingLockKHR", erase_type(release_profiling_lock)},
   };
   return find(table, name);
 }
@@ -374,6 +560,11 @@ PFN_vkVoidFunction own_instance_function(const char* name) {
       {"vkGetPhysicalDeviceQueueFamilyProperties", erase_type(get_queue_families)},
       {"vkEnumerateDeviceExtensionProperties", erase_type(enumerate_extensions)},
       {"vkGetPhysicalDeviceCalibrateableTimeDomainsEXT", erase_type(get_time_domains)},
+      {"vkGetPhysicalDeviceFeatures2", erase_type(get_features2)},
+      {"vkGetPhysicalDeviceFeatures2KHR", erase_type(get_features2)},
+      {"vkEnumeratePhysicalDeviceQueueFamilyPerformanceQueryCountersKHR",
+       erase_type(enumerate_counters)},
+      {"vkGetPhysicalDeviceQueueFamilyPerformanceQueryPassesKHR", erase_type(get_counter_passes)},
   };
   return find(table, name);
 }
