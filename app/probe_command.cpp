@@ -51,16 +51,31 @@ json or_null(const std::optional<T>& value) {
   return value ? json(*value) : json(nullptr);
 }
 
+json counters_json(const kernels::DeviceInfo& info) {
+  json counters = json::array();
+  for (const kernels::PerformanceCounter& counter : info.performance_counters)
+    counters.push_back({{"name", counter.name},
+                        {"unit", counter.unit},
+                        {"scope", counter.scope},
+                        {"description", counter.description},
+                        {"counted", counter.is_chosen}});
+  return counters;
+}
+
 /// The Vulkan devices, or why there are none.
 json devices_json() {
   json devices = json::array();
   try {
     const kernels::DeviceList list = kernels::list_devices();
     for (const kernels::DeviceInfo& info : list.usable)
-      devices.push_back({{"name", info.name},
-                         {"type", info.type},
-                         {"driver", info.driver_name + " " + info.driver_info},
-                         {"refused", nullptr}});
+      devices.push_back(
+          {{"name", info.name},
+           {"type", info.type},
+           {"driver", info.driver_name + " " + info.driver_info},
+           {"performance_counters", counters_json(info)},
+           {"no_counters_reason",
+            info.no_counters_reason.empty() ? json(nullptr) : json(info.no_counters_reason)},
+           {"refused", nullptr}});
     for (const kernels::DeviceRefusal& refusal : list.unusable)
       devices.push_back({{"name", refusal.name}, {"refused", refusal.reason}});
   } catch (const std::runtime_error& error) {
@@ -252,12 +267,28 @@ void print_devices() {
   fmt::print("\nVulkan devices\n");
   for (const json& device : devices_json()) {
     const std::string name = device["name"].is_null() ? "none" : device["name"].get<std::string>();
-    if (device["refused"].is_null())
-      fmt::print("  {} ({}, {})\n", name, device["type"].get<std::string>(),
-                 device["driver"].get<std::string>());
-    else
+    if (!device["refused"].is_null()) {
       fmt::print("  {}\n",
                  wrapped(fmt::format("{}: {}", name, device["refused"].get<std::string>()), 2));
+      continue;
+    }
+    fmt::print("  {} ({}, {})\n", name, device["type"].get<std::string>(),
+               device["driver"].get<std::string>());
+    const json& counters = device["performance_counters"];
+    if (counters.empty()) {
+      fmt::print(
+          "    {}\n",
+          wrapped("no counters of its own: " + device["no_counters_reason"].get<std::string>(), 4));
+      continue;
+    }
+    std::string names;
+    for (const json& counter : counters)
+      if (counter["counted"].get<bool>())
+        names += (names.empty() ? "" : ", ") + counter["name"].get<std::string>();
+    fmt::print("    {}\n",
+               wrapped(fmt::format("{} counters of its own; counted after each trial: {}",
+                                   counters.size(), names.empty() ? "none" : names),
+                       4));
   }
 }
 

@@ -17,6 +17,7 @@
 #include "accel/trace_cpu.h"
 #include "analysis/stats.h"
 #include "app/cache_choice.h"
+#include "app/gpu_counters.h"
 #include "app/heat_map.h"
 #include "app/host.h"
 #include "app/interrupt.h"
@@ -154,7 +155,13 @@ class Study {
     RunWriter::Config writer_config;
     writer_config.pull_samples = [this](std::vector<Sample>& out) { sensors_.drain(out); };
     writer_ = std::make_unique<RunWriter>(options_.out / "run.sqlite", std::move(writer_config));
-    for (const Channel& channel : sensors_.channels()) writer_->add_channel(channel);
+    int32_t last_id = 0;
+    for (const Channel& channel : sensors_.channels()) {
+      writer_->add_channel(channel);
+      last_id = std::max(last_id, channel.id);
+    }
+    counter_channels_ = counter_channels(device_->info(), last_id + 1);
+    for (const Channel& channel : counter_channels_) writer_->add_channel(channel);
     record_meta();
     sensors_.start();
     first_temperature_c_ = sensors_.hottest_c();
@@ -325,6 +332,7 @@ class Study {
     writer_->put_trial(trial);
     if (InterruptGuard::requested()) return timed_ms;
     if (trial.repetition == 0) verify(program.read_hits(), setup, trial);
+    count_hardware(program);
     picture([&] {
       if (!pictures_.has_reference(trial.model, trial.view)) render_reference(program, trial);
     });
@@ -357,6 +365,26 @@ class Study {
         "10,000 may. The driver '{}' cannot be trusted with this kernel",
         different, hits.size(), device_->info().name);
     writer_->put_trial(trial);
+  }
+
+  /// The counted frame once more, under the GPU's own counters: reserving them changes clocks or
+  /// power, so that it is done when the trial is over.
+  void count_hardware(kernels::TraceProgram& program) {
+    if (counter_channels_.empty()) return;
+    try {
+      const auto counts = program.count_hardware(static_cast<uint32_t>(frames_per_trial_ - 1));
+      if (!counts) return;
+      writer_->add_samples(counter_samples(counter_channels_, *counts));
+      writer_->add_event({counts->begin_ns, counts->end_ns, Severity::info, "performance-query",
+                          std::nullopt, "the counted frame was traced under the GPU's counters"});
+    } catch (const kernels::DeviceLost&) {
+      throw;
+    } catch (const kernels::OutOfMemory&) {
+      throw;
+    } catch (const std::runtime_error& error) {
+      writer_->add_event({now_ns(), std::nullopt, Severity::warning, "performance-query",
+                          std::nullopt, error.what()});
+    }
   }
 
   static void describe(const Structure& structure, Trial& trial) {
@@ -580,6 +608,7 @@ class Study {
   std::unique_ptr<Progress> progress_;
   StructureStore structures_;
   CacheChoice caches_;
+  std::vector<Channel> counter_channels_;  ///< of the GPU's own counters
   Pictures pictures_;
   std::vector<std::string> validation_messages_;
   std::optional<double> first_temperature_c_;

@@ -647,6 +647,37 @@ TEST_F(Tracing, WithoutCalibratedTimestampsTheMetaSaysSo) {
   }
 }
 
+TEST_F(Tracing, TheGpusOwnCountersHaveASampleForEachTrial) {
+  const Output output = program(small_study(), fault("counters:2"));
+  ASSERT_EQ(output.code, 0) << output.err;
+  const RunRecord run = read_run(out());
+  const auto misses = std::find_if(run.channels.begin(), run.channels.end(),
+                                   [](const Channel& c) { return c.name == "vkperf.l3_misses"; });
+  ASSERT_NE(misses, run.channels.end());
+  EXPECT_EQ(misses->source, "vkperf");
+  EXPECT_EQ(misses->quantity, Quantity::cache_miss);
+  const SampleSeries& series = run.series.at(misses->id);
+  ASSERT_EQ(series.t_ns.size(), run.trials.size());
+  std::vector<const Event*> spans;
+  for (const Event& event : run.events)
+    if (event.kind == "performance-query") spans.push_back(&event);
+  ASSERT_EQ(spans.size(), run.trials.size());
+  for (size_t i = 0; i < spans.size(); ++i) {
+    EXPECT_EQ(series.value[i], 4e9);
+    EXPECT_EQ(series.t_ns[i], spans[i]->end_ns);
+    EXPECT_GE(spans[i]->t_ns, run.trials[i].end_ns);  // no timed frame has anything of it
+  }
+}
+
+TEST_F(Tracing, CountersInUseElsewhereCostAnEventOnly) {
+  ASSERT_EQ(program(small_study(), fault("counters:1,counters-busy")).code, 0);
+  const RunRecord run = read_run(out());
+  for (const Trial& trial : run.trials) EXPECT_EQ(trial.skip_reason, "");
+  EXPECT_TRUE(std::any_of(run.events.begin(), run.events.end(), [](const Event& event) {
+    return event.kind == "performance-query" && event.severity == Severity::warning;
+  }));
+}
+
 TEST_F(Tracing, ABufferTooLargeForTheDeviceIsRefusedByNumber) {
   const Output output = program(small_study({"--set", "models.0=teapot:40"}), fault("small-range"));
   EXPECT_EQ(output.code, 1);
