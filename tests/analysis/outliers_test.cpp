@@ -120,7 +120,8 @@ TEST(Outliers, NoiseOfAnyTailIsNone) {
 TEST(Outliers, ManyClusteredLevelsOfNoiseAreNotTakenForSlowness) {
   // Timer granularity: three values a few percent apart.
   std::vector<double> times_ms;
-  for (std::size_t i = 0; i < 90; ++i) times_ms.push_back(1.00 + 0.04 * static_cast<double>(i * i % 3));
+  for (std::size_t i = 0; i < 90; ++i)
+    times_ms.push_back(1.00 + 0.04 * static_cast<double>(i * i % 3));
   EXPECT_TRUE(search_trial(times_ms).slow.empty());
 }
 
@@ -181,13 +182,14 @@ TEST(Outliers, PlantedOnesAreFoundAndNoOthersOver240Runs) {
       worst = fmt::format("{} ({} hit, {} missed, {} false)", made.description, one.hit, one.missed,
                           one.false_alarm);
     }
-    if (std::getenv("VERBOSE")) fmt::print("{} {} {} {}\n", one.hit, one.missed, one.false_alarm, made.description);
+    if (std::getenv("VERBOSE"))
+      fmt::print("{} {} {} {}\n", one.hit, one.missed, one.false_alarm, made.description);
     tally.hit += one.hit;
     tally.missed += one.missed;
     tally.false_alarm += one.false_alarm;
   }
-  const auto summary = fmt::format("{} hit, {} missed, {} false; worst: {}", tally.hit, tally.missed,
-                                   tally.false_alarm, worst);
+  const auto summary = fmt::format("{} hit, {} missed, {} false; worst: {}", tally.hit,
+                                   tally.missed, tally.false_alarm, worst);
   RecordProperty("summary", summary);
   EXPECT_GE(tally.recall(), 0.97) << summary;
   EXPECT_GE(tally.precision(), 0.97) << summary;

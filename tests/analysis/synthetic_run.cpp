@@ -95,16 +95,15 @@ constexpr std::array families{
     Family{"nvml.gpu0.sm_clock", "nvml.gpu0.requested_clock", "nvml.gpu0.reason.sw_power_cap",
            "nvml.gpu0.reason.sw_thermal_slowdown", "nvml.gpu0.reason.hw_power_brake_slowdown",
            "nvml.gpu0.reason.sync_boost", "nvml.gpu0.reason.applications_clocks_setting",
-           "nvml.gpu0.energy", "nvml.gpu0.power_limit", "nvml.gpu0.temp",
-           "nvml.gpu0.temp_slowdown", "perf.uncore_imc.data_reads"},
+           "nvml.gpu0.energy", "nvml.gpu0.power_limit", "nvml.gpu0.temp", "nvml.gpu0.temp_slowdown",
+           "perf.uncore_imc.data_reads"},
     Family{"amdgpu.gfx_freq", "amdgpu.gfx_max_freq", "amdgpu.throttle.sppt",
            "amdgpu.throttle.temp_core", "amdgpu.throttle.prochot_gfx", "amdgpu.throttle.tdc_vdd",
-           "amdgpu.status.hotspot", "rapl.package-0.energy", "amdgpu.ppt_limit",
-           "amdgpu.gfx_temp", "amdgpu.gfx_temp.crit", "perf.l3_misses"},
+           "amdgpu.status.hotspot", "rapl.package-0.energy", "amdgpu.ppt_limit", "amdgpu.gfx_temp",
+           "amdgpu.gfx_temp.crit", "perf.l3_misses"},
     Family{"gpu.clock", "gpu.clock_requested", "gpu.limited_by.power", "gpu.limited_by.thermal",
-           "gpu.limited_by.external", "gpu.limited_by.current", "gpu.limited_by.idle",
-           "gpu.energy", "gpu.power_limit", "gpu.temperature", "gpu.temperature_limit",
-           "dram.read_bytes"}};
+           "gpu.limited_by.external", "gpu.limited_by.current", "gpu.limited_by.idle", "gpu.energy",
+           "gpu.power_limit", "gpu.temperature", "gpu.temperature_limit", "dram.read_bytes"}};
 
 class Simulation {
  public:
@@ -135,7 +134,8 @@ class Simulation {
     repetitions_ = random_.integer(1, 3);
     // Not longer than a minute of simulated time in all.
     const double most = 40 / (base_ms * 1e-3) / (algorithms * repetitions_);
-    frames_ = static_cast<int>(std::clamp(random_.log_uniform(40, 1500), 30.0, std::max(30.0, most)));
+    frames_ =
+        static_cast<int>(std::clamp(random_.log_uniform(40, 1500), 30.0, std::max(30.0, most)));
     noise_ = options_.noise > 0 ? options_.noise : random_.log_uniform(0.003, 0.025);
     noise_kind_ = random_.integer(0, 2);
     drift_ = random_.chance(0.4) ? random_.uniform(0.02, 0.12) : 0;
@@ -145,14 +145,16 @@ class Simulation {
     family_ = families[static_cast<std::size_t>(random_.integer(0, 3))];
     // Events take a tenth of the time together.
     mean_gap_s_ = typical_s_ * random_.uniform(25, 60);
-    physics_ = (options_.effects.contains(Effect::power) ||
-                options_.effects.contains(Effect::thermal)) &&
-               random_.chance(0.3);
+    physics_ =
+        (options_.effects.contains(Effect::power) || options_.effects.contains(Effect::thermal)) &&
+        random_.chance(0.3);
     pl1_w_ = random_.uniform(12, 20);
-    burst_w_ = pl1_w_ * random_.uniform(1.15, 1.4);
-    tau_s_ = typical_s_ * frames_ * random_.uniform(0.2, 0.6);
+    burst_w_ = pl1_w_ * (physics_ ? random_.uniform(1.8, 2.6) : random_.uniform(1.15, 1.4));
+    // The limit is reached when a quarter to two thirds of a trial are traced.
+    tau_s_ = typical_s_ * (frames_ * random_.uniform(0.25, 0.67) + 8) /
+             std::log((burst_w_ - 3) / (burst_w_ - pl1_w_));
     trip_c_ = random_.uniform(85, 100);
-    heat_c_per_w_ = 2.6;
+    heat_c_per_w_ = (trip_c_ * random_.uniform(1.0, 1.2) - 35) / burst_w_;
     heat_tau_s_ = typical_s_ * frames_ * random_.uniform(0.5, 2);
     result_.description = fmt::format(
         "seed {}: base {:.2f} ms, {} algorithms x {} repetitions x {} frames, noise {:.2f} % kind "
@@ -221,10 +223,9 @@ class Simulation {
           [this](const Machine&) { return std::round(trip_c_) * 1000; });
     }
     if (options_.cache_counter) {
-      Sensor& misses = add(family_.misses,
-                           random_.chance(0.5) ? Quantity::cache_miss : Quantity::memory_traffic,
-                           Unit::count, Kind::cumulative, quick_s,
-                           [](const Machine& m) { return m.misses; });
+      Sensor& misses =
+          add(family_.misses, random_.chance(0.5) ? Quantity::cache_miss : Quantity::memory_traffic,
+              Unit::count, Kind::cumulative, quick_s, [](const Machine& m) { return m.misses; });
       if (random_.chance(0.5)) misses.channel.wrap_at = (int64_t{1} << 32) - 1;
     }
     if (options_.interference) {
@@ -235,9 +236,8 @@ class Simulation {
       add("perf.context_switches", Quantity::interference, Unit::count, Kind::cumulative, quick_s,
           [](const Machine& m) { return std::floor(m.switches); });
       const bool v1 = random_.chance(0.5);
-      add("cgroup.cpu.throttled", Quantity::interference,
-          v1 ? Unit::nanosecond : Unit::microsecond, Kind::cumulative,
-          std::clamp(typical_s_ / 3, 0.001, 0.02),
+      add("cgroup.cpu.throttled", Quantity::interference, v1 ? Unit::nanosecond : Unit::microsecond,
+          Kind::cumulative, std::clamp(typical_s_ / 3, 0.001, 0.02),
           [v1](const Machine& m) { return m.quota_s * (v1 ? 1e9 : 1e6); });
     }
   }
@@ -245,7 +245,8 @@ class Simulation {
   void poll() {
     for (Sensor& sensor : sensors_) {
       if (m_.t_s < sensor.next_s) continue;
-      while (sensor.next_s <= m_.t_s) sensor.next_s += sensor.period_s * random_.uniform(0.95, 1.05);
+      while (sensor.next_s <= m_.t_s)
+        sensor.next_s += sensor.period_s * random_.uniform(0.95, 1.05);
       if (random_.chance(sensor.lost)) continue;
       double value = sensor.read(m_);
       if (sensor.noise > 0 && value != 0) value += sensor.noise * random_.normal();
@@ -266,11 +267,11 @@ class Simulation {
     const bool active = m_.t_s < event_end_s_;
     const Effect effect = active ? event_ : Effect::none;
     Effect limited = effect;
-    if (physics_) limited = physical_limit(effect);
+    if (physics_) limited = physical_limit(effect, duration_s);
 
     const bool clocked =
         limited == Effect::power || limited == Effect::thermal || limited == Effect::external;
-    const double target = clocked ? 1 / (limited == effect ? strength_ : physical_strength_) : 1;
+    const double target = clocked ? 1 / (limited == effect ? strength_ : held_back_by(limited)) : 1;
     m_.clock += (target - m_.clock) * (1 - std::exp(-duration_s / lag_s_));
     m_.flag = {};
     if (clocked) m_.flag[static_cast<std::size_t>(limited)] = true;
@@ -283,14 +284,16 @@ class Simulation {
     if (!physics_ && limited == Effect::power) m_.power_w = pl1_w_ * 0.99;
     if (!physics_ && m_.tracing && limited != Effect::power && !stopped)
       m_.power_w = std::min(m_.power_w, pl1_w_ * (limited == Effect::thermal ? 0.6 : 0.85));
-    const double warm_c = 40 + std::min(heat_c_per_w_ * m_.power_w, 30.0);
+    const double warm_c = 40 + std::min(2 * m_.power_w, 30.0);
     if (physics_ || limited != Effect::thermal)
-      m_.temperature_c += ((physics_ ? 35 + heat_c_per_w_ * 1.6 * m_.power_w : warm_c) -
-                           m_.temperature_c) *
-                          duration_s / heat_tau_s_;
+      m_.temperature_c +=
+          ((physics_ ? 35 + heat_c_per_w_ * m_.power_w : warm_c) - m_.temperature_c) * duration_s /
+          heat_tau_s_;
     if (!physics_) {
-      if (limited == Effect::thermal) shown_c_ = trip_c_ + 0.5;
-      else shown_c_ += (m_.temperature_c - shown_c_) * std::min(1.0, duration_s / (3 * typical_s_));
+      if (limited == Effect::thermal)
+        shown_c_ = trip_c_ + 0.5;
+      else
+        shown_c_ += (m_.temperature_c - shown_c_) * std::min(1.0, duration_s / (3 * typical_s_));
     }
     const double kept_c = m_.temperature_c;
     m_.energy_j += m_.power_w * duration_s;
@@ -330,10 +333,15 @@ class Simulation {
     return speed;
   }
 
+  /// At PL1 the clock is what the limit allows; power grows with its square.
+  [[nodiscard]] double held_back_by(Effect limit) const {
+    return limit == Effect::power ? std::sqrt(burst_w_ / (0.98 * pl1_w_)) : 1.6;
+  }
+
   static double miss_growth(double cache_factor) { return 1 + 2.5 * (cache_factor - 1); }
 
-  Effect physical_limit(Effect effect) {
-    average_w_ += (m_.power_w - average_w_) * step_s_ / tau_s_;
+  Effect physical_limit(Effect effect, double duration_s) {
+    average_w_ += (m_.power_w - average_w_) * (1 - std::exp(-duration_s / tau_s_));
     if (options_.effects.contains(Effect::power)) {
       if (average_w_ > pl1_w_) at_pl1_ = true;
       if (average_w_ < 0.93 * pl1_w_) at_pl1_ = false;
@@ -360,10 +368,11 @@ class Simulation {
     event_ = possible[static_cast<std::size_t>(
         random_.integer(0, static_cast<int>(possible.size()) - 1))];
     const bool long_one = random_.chance(0.35);
-    double length_s = typical_s_ * (long_one ? random_.log_uniform(6, 60) : random_.uniform(1.5, 5));
+    double length_s =
+        typical_s_ * (long_one ? random_.log_uniform(6, 60) : random_.uniform(1.5, 5));
     length_s = std::max(length_s, 0.004);
-    strength_ = event_ == Effect::external ? random_.log_uniform(1.6, 8)
-                                           : random_.log_uniform(1.35, 3.5);
+    strength_ =
+        event_ == Effect::external ? random_.log_uniform(1.6, 8) : random_.log_uniform(1.35, 3.5);
     if (event_ == Effect::quota || event_ == Effect::preemption) {
       length_s = std::max(typical_s_ * random_.log_uniform(0.5, 60), 0.02);
       preempted_by_host_ = random_.chance(0.5);
@@ -391,7 +400,7 @@ class Simulation {
   }
 
   void trace_trial(std::size_t algorithm, int repetition) {
-    advance_idle(std::min(0.3, 20 * typical_s_));
+    advance_idle(physics_ ? 3 * tau_s_ : std::min(0.3, 20 * typical_s_));
     Trial trial;
     trial.id = static_cast<int64_t>(result_.run.trials.size()) + 1;
     trial.model = "planted";
@@ -432,8 +441,7 @@ class Simulation {
     double left_s = plain_s * more;
     while (left_s > 0) {
       // The last step ends with the frame.
-      const double duration_s =
-          std::min(step_s_, left_s / std::max(m_.clock, 1e-3) + 1e-7);
+      const double duration_s = std::min(step_s_, left_s / std::max(m_.clock, 1e-3) + 1e-7);
       left_s -= step(duration_s) * duration_s;
     }
     frame.end_ns = to_ns(m_.t_s);
@@ -448,8 +456,7 @@ class Simulation {
     for (std::size_t e = 1; e < effect_count; ++e) all_s += lost_s_[e];
     truth.slowdown = took_s / plain_s;
     for (std::size_t e = 1; e < effect_count; ++e)
-      if (lost_s_[e] > 0.6 * all_s && all_s > 0.05 * plain_s)
-        truth.effect = static_cast<Effect>(e);
+      if (lost_s_[e] > 0.6 * all_s && all_s > 0.05 * plain_s) truth.effect = static_cast<Effect>(e);
     truth.outlier = truth.slowdown >= 1.3;
     truth.normal = truth.slowdown <= 1.08;
     result_.frames.push_back(truth);
@@ -475,7 +482,6 @@ class Simulation {
   bool physics_ = false;
   double pl1_w_ = 15, burst_w_ = 20, tau_s_ = 1;
   double trip_c_ = 95, heat_c_per_w_ = 2, heat_tau_s_ = 1;
-  double physical_strength_ = 1.6;
   // State:
   Effect event_ = Effect::none;
   Effect last_clocked_ = Effect::power;

@@ -36,7 +36,7 @@ struct Options {
 
 struct FrameTruth {
   int64_t frame_id = 0;
-  double slowdown = 1;  ///< time / what the same frame would have taken without effects
+  double slowdown = 1;           ///< time / what the same frame would have taken without effects
   Effect effect = Effect::none;  ///< what took at least 60 % of the lost time; else none
   /// Slowed by at least 1.3, or by at most 1.08. In between neither answer is wrong.
   bool outlier = false;
