@@ -327,8 +327,7 @@ class Judge {
           look.set = set;
           look.evidence = {channel.name, share,
                            tail.count() > 0 ? std::optional(tail.quantile_of(0.5)) : std::nullopt,
-                           "share of the time"};
-          if (source.quota) look.evidence.unit = "stopped share of the time";
+                           "1"};
         }
       }
     }
@@ -461,7 +460,7 @@ class Judge {
       // Per ray: as the frame took `ratio` times as long for its rays.
       const double per_ray = rise + std::log(one.slow->ratio);
       const std::string unit = channel.unit == Unit::none || unit_info(channel.unit).si == "count"
-                                   ? "per second"
+                                   ? "count/s"
                                    : std::string(unit_info(channel.unit).si) + "/s";
       const bool is_for = rise > std::max(0.10, 1.5 * usual) && per_ray > 0.26;
       double ratio = 0.5;
@@ -514,7 +513,7 @@ class Judge {
         else if (resolved)
           ratio = 0.3;
       }
-      const std::string unit = is_time ? "s/s" : "per second";
+      const std::string unit = is_time ? "s/s" : "count/s";
       interference_looks_.note(cases_.size(), c, ratio, is_for,
                                {channel.name, *rate, expected, unit});
     }

@@ -29,12 +29,12 @@ inline constexpr std::size_t cause_count = 7;
 /// As in report.json: "throttle-thermal", ...
 std::string_view to_string(Cause cause);
 
-/// What a channel said during a slow frame, in SI units, and what it says in normal ones.
+/// What a channel said during a slow frame, and what it says in normal ones.
 struct Evidence {
   std::string channel;  ///< or "frames.ray_count", "frames.node_visit_count"
   double value = 0;
   std::optional<double> expected;  ///< median of the normal frames it is compared with
-  std::string unit;                ///< of both
+  std::string unit;  ///< of both: SI; "1" for the share of the time in which a reason was set
 };
 
 struct Attribution {

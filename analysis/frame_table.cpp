@@ -74,7 +74,7 @@ std::vector<TimedFrame> timed_frames(const RunRecord& run, std::span<const Cell>
 ChannelTrack::ChannelTrack(const Channel& channel, const SampleSeries& series)
     : kind_(channel.kind) {
   SampleSeries tidied = tidy(series);
-  t_ns_ = std::move(tidied.t_ns);
+  t_ns_ = tidied.t_ns;
   const double factor = unit_info(channel.unit).to_si;
 
   std::vector<int64_t> polls;
@@ -85,7 +85,7 @@ ChannelTrack::ChannelTrack(const Channel& channel, const SampleSeries& series)
   resolution_ns_ = poll_ns_;
 
   if (kind_ == Kind::cumulative) {
-    value_ = unwrap(tidied.value, channel.wrap_at).value;
+    value_ = unwrap(channel, tidied).value;
     std::vector<int64_t> updates;
     std::optional<int64_t> last_ns;
     for (std::size_t i = 1; i < value_.size(); ++i) {
