@@ -182,8 +182,6 @@ TEST(Outliers, PlantedOnesAreFoundAndNoOthersOver240Runs) {
       worst = fmt::format("{} ({} hit, {} missed, {} false)", made.description, one.hit, one.missed,
                           one.false_alarm);
     }
-    if (std::getenv("VERBOSE"))
-      fmt::print("{} {} {} {}\n", one.hit, one.missed, one.false_alarm, made.description);
     tally.hit += one.hit;
     tally.missed += one.missed;
     tally.false_alarm += one.false_alarm;
@@ -193,7 +191,6 @@ TEST(Outliers, PlantedOnesAreFoundAndNoOthersOver240Runs) {
   RecordProperty("summary", summary);
   EXPECT_GE(tally.recall(), 0.97) << summary;
   EXPECT_GE(tally.precision(), 0.97) << summary;
-  if (std::getenv("VERBOSE")) fmt::print("{}\n", summary);
 }
 
 }  // namespace
