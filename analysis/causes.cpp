@@ -29,6 +29,8 @@ using Likelihood = std::array<double, hypothesis_count>;
 
 constexpr double strongest = 1000;  // no reading is believed more than this
 constexpr double denial = 0.02;     // a sensor that looked and saw nothing
+// A clock that did not fall: then it cannot have been held down, whatever a flag says.
+constexpr double clock_denial = 0.002;
 constexpr std::size_t min_trial_reference = 8;
 constexpr std::size_t min_cell_reference = 3;
 constexpr int em_round_count = 30;
@@ -259,7 +261,7 @@ class Judge {
         // Time that the clock explains needs no other explanation.
         for (const std::size_t h : {misses, interruption}) one.weigh(h, 0.2);
       } else if (read && fall < 0.25 * needed) {
-        for (const std::size_t h : {power, thermal, other, low_clock}) one.weigh(h, denial);
+        for (const std::size_t h : {power, thermal, other, low_clock}) one.weigh(h, clock_denial);
       } else {
         one.weigh(low_clock, denial);
       }
@@ -589,26 +591,30 @@ class Judge {
       }
 
     // How frequent each is in this run: expectation maximization over episodes, from a prior that
-    // half an episode of each and two unexplained ones make.
+    // half an episode of each and three of no cause make. An episode does not count for itself: one
+    // chance overlap must not become its own proof.
     Likelihood prior;
-    prior.fill(1);
-    prior[nothing] = 2;
+    prior.fill(0.5);
+    prior[nothing] = 3;
     std::vector<Likelihood> posterior(cases_.size());
+    std::vector<Likelihood> by_episode(length_.size(), Likelihood{});
+    Likelihood total = prior;
     for (int round = 0; round < em_round_count; ++round) {
-      Likelihood total;
-      total.fill(0.5);
-      total[nothing] = 2;
+      std::vector<Likelihood> next(length_.size(), Likelihood{});
       for (std::size_t c = 0; c < cases_.size(); ++c) {
+        const std::size_t episode = cases_[c].slow->episode;
         double sum = 0;
         for (std::size_t h = 0; h < hypothesis_count; ++h)
-          sum += posterior[c][h] = prior[h] * cases_[c].likelihood[h];
-        const auto length = static_cast<double>(length_[cases_[c].slow->episode]);
+          sum += posterior[c][h] = (total[h] - by_episode[episode][h]) * cases_[c].likelihood[h];
         for (std::size_t h = 0; h < hypothesis_count; ++h) {
           posterior[c][h] /= sum;
-          total[h] += posterior[c][h] / length;
+          next[episode][h] += posterior[c][h] / static_cast<double>(length_[episode]);
         }
       }
-      prior = total;
+      by_episode = std::move(next);
+      total = prior;
+      for (const Likelihood& one : by_episode)
+        for (std::size_t h = 0; h < hypothesis_count; ++h) total[h] += one[h];
     }
 
     std::vector<Attribution> result;

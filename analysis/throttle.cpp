@@ -4,6 +4,7 @@
 #include <array>
 #include <cctype>
 #include <cmath>
+#include <nlohmann/json.hpp>
 #include <string>
 
 #include "analysis/series.h"
@@ -309,6 +310,28 @@ std::vector<LimitedTrack> temperature_limits(const RunRecord& run) {
   return result;
 }
 
+enum class DeviceKind : uint8_t { unknown, cpu, gpu };
+
+/// What the frames ran on: as recorded, else by what gives reasons for throttling.
+DeviceKind device_kind(const RunRecord& run) {
+  if (const auto found = run.meta.find("device"); found != run.meta.end()) {
+    const auto device = nlohmann::json::parse(found->second, nullptr, false);
+    if (device.is_object() && device.contains("type") && device["type"].is_string()) {
+      const std::string text = normalized(device["type"].get<std::string>());
+      if (text == "cpu") return DeviceKind::cpu;
+      if (has(text, "integrated") || has(text, "discrete") || has(text, "gpu"))
+        return DeviceKind::gpu;
+    }
+  }
+  for (const Channel& channel : run.channels) {
+    if (channel.quantity != Quantity::throttle) continue;
+    const std::string name = normalized(channel.name);
+    for (const std::string_view driver : {"i915", "xe.", "xe_", "amdgpu", "nvml", "nvidia", "gpu"})
+      if (name.starts_with(driver)) return DeviceKind::gpu;
+  }
+  return DeviceKind::unknown;
+}
+
 /// Frames that follow each other without a pause, as spans in which the device was busy.
 SpanSet busy_spans(std::span<const TimedFrame> frames) {
   std::vector<Span> spans;
@@ -549,9 +572,11 @@ std::optional<DeviceClock> device_clock(const RunRecord& run, std::span<const Ti
                         has(name, "coreclk");
     (of_cpu ? cpu : gpu).push_back(c);
   }
+  const DeviceKind kind = device_kind(run);
+  if (gpu.empty() && kind == DeviceKind::gpu) return std::nullopt;
   DeviceClock clock;
   const SpanSet busy = busy_spans(frames);
-  for (const std::size_t c : gpu.empty() ? cpu : gpu) {
+  for (const std::size_t c : gpu.empty() || (kind == DeviceKind::cpu && !cpu.empty()) ? cpu : gpu) {
     const Channel& channel = run.channels[c];
     SampleSeries awake;
     const SampleSeries& series = *series_of(run, channel);

@@ -90,8 +90,8 @@ struct Throttling {
 };
 
 /// The clock that frames run at: the mean of the channels that measure the device's clock (GPU
-/// clocks where there are any, else CPU clocks), as a ratio to the steady clock, which is the 95 %
-/// quantile while frames run. Zeroes (asleep) are left out.
+/// clocks where there are any, CPU clocks where the device is one or is not known), as a ratio to
+/// the steady clock, which is the 95 % quantile while frames run. Zeroes (asleep) are left out.
 struct DeviceClock {
   std::vector<std::size_t> channels;  ///< into RunRecord::channels; the first names it
   std::vector<ChannelTrack> tracks;
