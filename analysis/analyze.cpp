@@ -13,6 +13,7 @@
 #include <utility>
 
 #include "analysis/format.h"
+#include "analysis/frame_table.h"
 #include "analysis/report_text.h"
 #include "analysis/run_facts.h"
 
@@ -174,6 +175,8 @@ Cell make_cell(const RunRecord& run, const CellKey& key, const CellFrames& frame
   cell.median_ms = median(cell.frame_ms);
   cell.median_interval_ms = median_interval(cell.frame_ms);
   cell.baseline_ms = quantile(cell.frame_ms, 0.25);
+  cell.over_twice_count = std::count_if(cell.frame_ms.begin(), cell.frame_ms.end(),
+                                        [&](double ms) { return ms > 2 * cell.baseline_ms; });
   cell.truncated_mean_ms = truncated_mean(cell.frame_ms, score.truncate);
   cell.stddev_ms = stddev(cell.frame_ms);
   cell.score_ms = score_of(cell.frame_ms, score);
@@ -203,23 +206,22 @@ void add_cache_model(const RunRecord& run, std::vector<Cell>& cells) {
     }
 }
 
-std::vector<Outlier> find_outliers(const RunRecord& run, std::vector<Cell>& cells) {
-  std::vector<Outlier> outliers;
-  for (std::size_t c = 0; c < cells.size(); ++c) {
-    Cell& cell = cells[c];
-    for (std::size_t i = 0; i < cell.frame_ms.size(); ++i) {
-      if (cell.frame_ms[i] <= outlier_ratio * cell.baseline_ms) continue;
-      const std::size_t index = cell.frame_index[i];
-      outliers.push_back({c, index, run.frames[index].id, cell.frame_ms[i],
-                          cell.frame_ms[i] / cell.baseline_ms,
-                          cell.frame_ms[i] - cell.baseline_ms});
-      ++cell.outlier_count;
-    }
+/// Outliers with their causes, and what they are judged by.
+void add_outliers(const RunRecord& run, Analysis& analysis) {
+  const std::vector<TimedFrame> frames = timed_frames(run, analysis.cells);
+  OutlierSearch search = find_slow_frames(frames);
+  analysis.throttling = find_throttling(run, frames);
+  std::vector<Attribution> causes = find_causes(run, frames, search, analysis.throttling);
+  for (std::size_t i = 0; i < search.slow.size(); ++i) {
+    const SlowFrame& slow = search.slow[i];
+    const TimedFrame& frame = frames[slow.frame];
+    analysis.outliers.push_back({frame.cell, frame.frame_index, run.frames[frame.frame_index].id,
+                                 frame.ms, slow.baseline_ms, slow.ratio,
+                                 frame.ms - slow.baseline_ms, slow.probability, slow.shape,
+                                 std::move(causes[i])});
+    ++analysis.cells[frame.cell].outlier_count;
   }
-  std::sort(outliers.begin(), outliers.end(), [&](const Outlier& a, const Outlier& b) {
-    return run.frames[a.frame_index].begin_ns < run.frames[b.frame_index].begin_ns;
-  });
-  return outliers;
+  analysis.regimes = std::move(search.trials);
 }
 
 /// Compares the hits of one model and view frame by frame, over all algorithms.
@@ -460,7 +462,7 @@ std::vector<EnergyRow> energy_rows(const Analysis& analysis, std::vector<std::st
   }
   if (rows.empty()) return rows;
   warnings.push_back(
-      "This version computes no energy per frame, no causes of outliers and no correlations: those "
+      "This version computes no energy per frame and no correlations: those "
       "fields are empty, which does not mean that nothing was there.");
   return rows;
 }
@@ -546,7 +548,7 @@ Analysis analyze(const RunRecord& run) {
   add_cache_model(run, analysis.cells);
   warn_about_trials(run, analysis.cells, warnings);
   compare_checksums(run, trials, analysis.cells, warnings);
-  analysis.outliers = find_outliers(run, analysis.cells);
+  add_outliers(run, analysis);
   analysis.ranking = rank(analysis.cells, analysis.score, warnings);
   analysis.structures = list_structures(run);
   analysis.sensors = summarize_sensors(run, !is_cpu_device(analysis.run), warnings);

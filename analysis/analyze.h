@@ -7,9 +7,12 @@
 #include <string>
 #include <vector>
 
+#include "analysis/causes.h"
+#include "analysis/outliers.h"
 #include "analysis/self_check.h"
 #include "analysis/sensor_summary.h"
 #include "analysis/stats.h"
+#include "analysis/throttle.h"
 #include "core/record.h"
 
 namespace energyprof::analysis {
@@ -93,11 +96,12 @@ struct Cell {
   std::vector<std::size_t> frame_index;  ///< of frame_ms, into RunRecord::frames
   double median_ms = 0;
   std::optional<Interval> median_interval_ms;  ///< 95 %; absent below 6 frames
-  double baseline_ms = 0;                      ///< lower quartile: the fast regime
+  double baseline_ms = 0;                      ///< lower quartile
   double truncated_mean_ms = 0;
   std::optional<double> stddev_ms;
   std::optional<double> score_ms;  ///< weighted sum of the two; absent for a single frame
   int64_t outlier_count = 0;
+  int64_t over_twice_count = 0;          ///< frames longer than twice the lower quartile
   std::optional<double> rays_per_frame;  ///< mean
   std::optional<double> mrays_per_s;     ///< median over frames of rays / frame time
   std::optional<double> hit_ratio;
@@ -122,17 +126,18 @@ struct RankingRow {
   int64_t cell_count = 0;
 };
 
-/// A timed frame is an outlier when it takes more than this times its cell's baseline.
-inline constexpr double outlier_ratio = 2;
-
-/// A timed frame that is one.
+/// A timed frame that was slow for its trial: see find_slow_frames().
 struct Outlier {
   std::size_t cell = 0;         ///< index into Analysis::cells
   std::size_t frame_index = 0;  ///< index into RunRecord::frames
   int64_t frame_id = 0;
   double frame_ms = 0;
-  double ratio = 0;      ///< frame time / baseline
-  double excess_ms = 0;  ///< frame time - baseline
+  double baseline_ms = 0;  ///< of its trial's fast regime at that time
+  double ratio = 0;        ///< frame time / baseline
+  double excess_ms = 0;    ///< frame time - baseline
+  double probability = 0;  ///< that it is one, given the other frames of its trial
+  OutlierShape shape = OutlierShape::spike;
+  Attribution attribution;  ///< why
 };
 
 /// How one structure was built, from the first trial that used it.
@@ -187,9 +192,11 @@ struct Analysis {
   std::vector<Flag> flags;
   std::string headline;  ///< the result in one sentence
   ScoreConfig score;
-  std::vector<RankingRow> ranking;    ///< best first; empty when nothing can be compared
-  std::vector<Cell> cells;            ///< by model, view, then algorithm in the config's order
-  std::vector<Outlier> outliers;      ///< by time
+  std::vector<RankingRow> ranking;   ///< best first; empty when nothing can be compared
+  std::vector<Cell> cells;           ///< by model, view, then algorithm in the config's order
+  std::vector<Outlier> outliers;     ///< by time
+  std::vector<TrialRegime> regimes;  ///< how each trial ran when nothing slowed it
+  Throttling throttling;
   std::vector<Structure> structures;  ///< by model, then algorithm
   std::vector<SensorSummary> sensors;
   std::vector<MissingSensor> missing_sensors;
@@ -204,8 +211,8 @@ struct Analysis {
 /// What is missing or odd becomes a warning, never an exception.
 ///
 /// - Frames of trials with a skip_reason are in no cell; each such trial is a warning.
-/// - A timed frame is an outlier when it takes more than twice the lower quartile of its cell. The
-///   quartile, not the median: with more than half of the frames slowed the median is a slow frame.
+/// - Outliers are those of find_slow_frames(), their causes those of find_causes(). The score knows
+///   neither: it is the paper's, over all timed frames.
 /// - The score is that of the paper this project follows: per model and view, weight_mean *
 /// truncated
 ///   mean + weight_stddev * standard deviation of the frame times; averaged over the cells that

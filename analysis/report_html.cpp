@@ -7,6 +7,7 @@
 #include <map>
 #include <string_view>
 #include <tuple>
+#include <unordered_set>
 #include <utility>
 
 #include "analysis/format.h"
@@ -60,6 +61,8 @@ double seconds(const Analysis& analysis, int64_t t_ns) {
 /// Per cell the points [seconds, ms, frame, is outlier], null between two trials.
 json frame_points(const RunRecord& run, const Analysis& analysis) {
   json cells = json::array();
+  std::unordered_set<std::size_t> outliers;
+  for (const Outlier& outlier : analysis.outliers) outliers.insert(outlier.frame_index);
   const std::size_t limit = std::max<std::size_t>(
       200, max_frame_points / std::max<std::size_t>(1, analysis.cells.size()));
   for (const Cell& cell : analysis.cells) {
@@ -71,7 +74,7 @@ json frame_points(const RunRecord& run, const Analysis& analysis) {
       const FrameRecord& frame = run.frames[cell.frame_index[i]];
       if (trial_id && *trial_id != frame.trial_id) points.push_back(nullptr);
       trial_id = frame.trial_id;
-      const bool outlier = cell.frame_ms[i] > outlier_ratio * cell.baseline_ms;
+      const bool outlier = outliers.contains(cell.frame_index[i]);
       points.push_back({seconds(analysis, frame.begin_ns), short_number(cell.frame_ms[i]),
                         frame.frame, outlier ? 1 : 0});
     }

@@ -12,6 +12,8 @@ namespace {
 
 using nlohmann::json;
 
+constexpr std::size_t max_interval_count = 10'000;
+
 template <class T>
 json or_null(const std::optional<T>& value) {
   return value ? json(*value) : json(nullptr);
@@ -140,6 +142,7 @@ json cell_json(const Cell& cell) {
           {"stddev_ms", or_null(cell.stddev_ms)},
           {"score_ms", or_null(cell.score_ms)},
           {"outlier_count", cell.outlier_count},
+          {"over_twice_count", cell.over_twice_count},
           {"rays_per_frame", or_null(cell.rays_per_frame)},
           {"mrays_per_s", or_null(cell.mrays_per_s)},
           {"hit_ratio", or_null(cell.hit_ratio)},
@@ -151,12 +154,66 @@ json cell_json(const Cell& cell) {
 json outlier_json(const RunRecord& run, const Analysis& analysis, const Outlier& outlier) {
   const Cell& cell = analysis.cells[outlier.cell];
   const FrameRecord& frame = run.frames[outlier.frame_index];
-  return {
-      {"frame_id", outlier.frame_id},   {"trial_id", frame.trial_id},   {"frame", frame.frame},
-      {"begin_ns", frame.begin_ns},     {"model", cell.model},          {"view", cell.view},
-      {"algorithm", cell.algorithm},    {"frame_ms", outlier.frame_ms}, {"ratio", outlier.ratio},
-      {"excess_ms", outlier.excess_ms}, {"cause", "unexplained"},       {"confidence", nullptr},
-      {"evidence", json::array()}};
+  json evidence = json::array();
+  for (const Evidence& seen : outlier.attribution.evidence)
+    evidence.push_back({{"channel", seen.channel},
+                        {"value", seen.value},
+                        {"expected", or_null(seen.expected)},
+                        {"unit", seen.unit}});
+  return {{"frame_id", outlier.frame_id},
+          {"trial_id", frame.trial_id},
+          {"frame", frame.frame},
+          {"begin_ns", frame.begin_ns},
+          {"model", cell.model},
+          {"view", cell.view},
+          {"algorithm", cell.algorithm},
+          {"frame_ms", outlier.frame_ms},
+          {"baseline_ms", outlier.baseline_ms},
+          {"ratio", outlier.ratio},
+          {"excess_ms", outlier.excess_ms},
+          {"probability", outlier.probability},
+          {"shape", to_string(outlier.shape)},
+          {"cause", to_string(outlier.attribution.cause)},
+          {"confidence", outlier.attribution.confidence},
+          {"evidence", std::move(evidence)}};
+}
+
+json regime_json(const RunRecord& run, const TrialRegime& regime) {
+  return {{"trial_id", run.trials[regime.trial_index].id},
+          {"frames", regime.frame_count},
+          {"outliers", regime.outlier_count},
+          {"baseline_ms", regime.baseline_ms},
+          {"spread_ratio", regime.spread_ratio},
+          {"drift_ratio", regime.drift_ratio},
+          {"entirely_slow", regime.entirely_slow}};
+}
+
+/// What each source says, and when it said so: intervals by source, then by time, the first
+/// max_interval_count of all.
+json throttling_json(const RunRecord& run, const Throttling& throttling) {
+  json sources = json::array();
+  json intervals = json::array();
+  std::size_t interval_count = 0;
+  for (const ThrottleSource& source : throttling.sources) {
+    const std::string& channel = run.channels[source.channel].name;
+    sources.push_back({{"channel", channel},
+                       {"class", to_string(source.reason)},
+                       {"inferred", source.inferred},
+                       {"poll_ns", source.poll_ns},
+                       {"intervals", source.active.spans().size()},
+                       {"exposure_ratio", source.exposure_ratio},
+                       {"coverage_ratio", source.coverage_ratio},
+                       {"regime", source.regime}});
+    for (const Span& span : source.active.spans()) {
+      if (++interval_count > max_interval_count) break;
+      intervals.push_back({{"begin_ns", span.begin_ns},
+                           {"end_ns", span.end_ns},
+                           {"class", to_string(source.reason)},
+                           {"channel", channel},
+                           {"inferred", source.inferred}});
+    }
+  }
+  return {{"sources", std::move(sources)}, {"intervals", std::move(intervals)}};
 }
 
 json structure_json(const Structure& structure) {
@@ -273,6 +330,9 @@ json report_json(const RunRecord& run, const Analysis& analysis,
   report["outliers"] = list(analysis.outliers, [&](const Outlier& outlier) {
     return outlier_json(run, analysis, outlier);
   });
+  report["regimes"] =
+      list(analysis.regimes, [&](const TrialRegime& regime) { return regime_json(run, regime); });
+  report["throttling"] = throttling_json(run, analysis.throttling);
   report["correlations"] = json::array();
   report["coincidence"] = nullptr;
   report["factors"] = json::array();

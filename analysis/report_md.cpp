@@ -242,22 +242,30 @@ void write_more(Page& page, std::size_t total) {
 
 void write_outliers(Page& page, const RunRecord& run, const Analysis& analysis) {
   page.heading("Outliers");
-  if (analysis.outliers.empty())
-    return page.line("No timed frame took more than twice the lower quartile of its cell.");
-  std::vector<Outlier> worst = analysis.outliers;
+  page.line("{}", outlier_text(analysis));
+  std::vector<const Outlier*> worst;
+  for (const Outlier& outlier : analysis.outliers) worst.push_back(&outlier);
   std::stable_sort(worst.begin(), worst.end(),
-                   [](const Outlier& a, const Outlier& b) { return a.excess_ms > b.excess_ms; });
-  page.line("{} took more than twice the lower quartile of their cell; the slowest first.\n",
-            counted(worst.size(), "timed frame"));
-  page.table({">frame", "model", ">view", "algorithm", ">time", ">ratio", ">excess", "cause"});
-  for (const Outlier& outlier : std::span(worst).first(std::min(worst.size(), list_length))) {
-    const Cell& cell = analysis.cells[outlier.cell];
-    page.row({fmt::format("{}", run.frames[outlier.frame_index].frame), escaped(cell.model),
+                   [](const Outlier* a, const Outlier* b) { return a->excess_ms > b->excess_ms; });
+  if (!worst.empty()) {
+    page.line("\nSlow for their trial's fast regime; those that lost most time first.\n");
+    page.table({">frame", "model", ">view", "algorithm", ">time", ">ratio", ">excess", "cause",
+                ">confidence", "evidence"});
+  }
+  for (const Outlier* outlier : std::span(worst).first(std::min(worst.size(), list_length))) {
+    const Cell& cell = analysis.cells[outlier->cell];
+    page.row({fmt::format("{}", run.frames[outlier->frame_index].frame), escaped(cell.model),
               fmt::format("{}", cell.view), escaped(cell.algorithm),
-              scaled(outlier.frame_ms * 1e-3, "s"), fmt::format("{:.1f}", outlier.ratio),
-              scaled(outlier.excess_ms * 1e-3, "s"), "unexplained"});
+              scaled(outlier->frame_ms * 1e-3, "s"), fmt::format("{:.1f}", outlier->ratio),
+              scaled(outlier->excess_ms * 1e-3, "s"),
+              std::string(to_string(outlier->attribution.cause)),
+              fmt::format("{:.2f}", outlier->attribution.confidence),
+              escaped(evidence_text(outlier->attribution))});
   }
   write_more(page, worst.size());
+  const auto lines = throttling_text(run, analysis.throttling);
+  if (!lines.empty()) page.line("\nThrottling:\n");
+  for (const std::string& line : lines) page.line("- {}", escaped(line));
 }
 
 void write_energy(Page& page, const Analysis& analysis) {

@@ -3,6 +3,10 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
+#include <utility>
+
+#include <algorithm>
 #include <map>
 #include <string_view>
 #include <utility>
@@ -193,6 +197,61 @@ std::string idle_text(const Analysis& analysis) {
   if (count == 0) return {};
   return fmt::format("{}, {} together, in which nothing was submitted.",
                      counted(count, "idle period"), duration_text(total_ns));
+}
+
+std::string outlier_text(const Analysis& analysis) {
+  if (analysis.cells.empty()) return {};
+  if (analysis.outliers.empty()) return "No outliers.";
+  std::array<std::size_t, cause_count> counts{};
+  for (const Outlier& outlier : analysis.outliers)
+    ++counts[static_cast<std::size_t>(outlier.attribution.cause)];
+  std::vector<std::pair<std::size_t, std::string>> parts;
+  for (std::size_t k = 0; k < cause_count; ++k)
+    if (counts[k] > 0)
+      parts.emplace_back(counts[k],
+                         fmt::format("{} {}", counts[k], to_string(static_cast<Cause>(k))));
+  std::stable_sort(parts.begin(), parts.end(),
+                   [](const auto& a, const auto& b) { return a.first > b.first; });
+  std::string text = counted(analysis.outliers.size(), "outlier") + ": ";
+  for (std::size_t i = 0; i < parts.size(); ++i) text += (i > 0 ? ", " : "") + parts[i].second;
+  return text + ".";
+}
+
+namespace {
+
+std::string evidence_value(double value, const std::string& unit) {
+  if (unit == "1") return fmt::format("{:.0f} % of the time", 100 * value);
+  if (unit == "s/s") return fmt::format("{:.3g} s/s", value);
+  return unit == "count" || unit == "count/s" ? fmt::format("{:.3g}{}", value, unit.substr(5))
+                                              : scaled(value, unit);
+}
+
+}  // namespace
+
+std::string evidence_text(const Attribution& attribution) {
+  if (attribution.evidence.empty()) return {};
+  const Evidence& seen = attribution.evidence.front();
+  std::string text = fmt::format("{} {}", seen.channel, evidence_value(seen.value, seen.unit));
+  if (seen.expected) text += " instead of " + evidence_value(*seen.expected, seen.unit);
+  return text;
+}
+
+std::vector<std::string> throttling_text(const RunRecord& run, const Throttling& throttling) {
+  std::vector<std::string> lines;
+  for (const ThrottleSource& source : throttling.sources) {
+    if (source.active.spans().empty()) continue;
+    const std::string what = source.reason == ThrottleClass::none
+                                 ? "no reason given"
+                                 : std::string(to_string(source.reason));
+    std::string line = fmt::format(
+        "{} ({}{}): {:.1f} % of the timed frames' time in {}, read every {} over {:.0f} % of it",
+        run.channels[source.channel].name, what, source.inferred ? ", inferred" : "",
+        100 * source.exposure_ratio, counted(source.active.spans().size(), "interval"),
+        duration_text(source.poll_ns), 100 * source.coverage_ratio);
+    if (source.regime) line += "; so it is how the machine runs, and explains no single frame";
+    lines.push_back(line + ".");
+  }
+  return lines;
 }
 
 std::string score_text(const Analysis& analysis) {

@@ -40,6 +40,18 @@ std::string cache_text(const Analysis& analysis);
 /// How many idle stretches were recorded, and how long they were together; empty if none was.
 std::string idle_text(const Analysis& analysis);
 
+/// "12 outliers: 8 throttle-power, 3 unexplained, 1 interference."; "No outliers." where frames
+/// were timed and none was slow; empty without timed frames.
+std::string outlier_text(const Analysis& analysis);
+
+/// What decided on the cause of an outlier: "i915.gt0.act_freq 650 MHz instead of 1.30 GHz"; empty
+/// without evidence.
+std::string evidence_text(const Attribution& attribution);
+
+/// Why frames were held back, how often, and how well that could be seen: a sentence per source
+/// that was ever set.
+std::vector<std::string> throttling_text(const RunRecord& run, const Throttling& throttling);
+
 /// How the score is made, with its weights, in one sentence.
 std::string score_text(const Analysis& analysis);
 

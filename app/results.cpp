@@ -51,6 +51,8 @@ void print_summary(const analysis::Analysis& result, std::FILE* to) {
     fmt::print(to, "{}. {}: score {:.3f} ms (95 %: {:.3f} to {:.3f}), {:.3f} times the best\n",
                row.rank, row.algorithm, row.score_ms, row.score_interval_ms.low,
                row.score_interval_ms.high, row.normalized);
+  if (const std::string outliers = analysis::outlier_text(result); !outliers.empty())
+    fmt::print(to, "{}\n", outliers);
   if (result.run.command) {
     fmt::print(to, "{}\n", result.headline);
     for (const analysis::Reading& row : analysis::readings(result))

@@ -227,7 +227,7 @@
     const worst = [...report.outliers].sort((a, b) => b.excess_ms - a.excess_ms);
     body("cells").append(make("h3", {}, "Outliers"));
     if (worst.length === 0) {
-      body("cells").append(note("No timed frame took more than twice the lower quartile of its cell."));
+      body("cells").append(note("No outliers: no timed frame was slow for its trial."));
       return;
     }
     const shown = worst.slice(0, 20);

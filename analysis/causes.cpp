@@ -1,0 +1,719 @@
+#include "analysis/causes.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <map>
+#include <utility>
+
+#include "analysis/stats.h"
+
+namespace energyprof::analysis {
+namespace {
+
+/// What may have slowed a frame. Finer than Cause: a quota stops the work without touching the
+/// clock, and a low clock may have no known reason.
+enum Hypothesis : std::size_t {
+  power,
+  thermal,
+  other,
+  quota,
+  low_clock,
+  misses,
+  interruption,
+  work,
+  nothing,
+  hypothesis_count
+};
+using Likelihood = std::array<double, hypothesis_count>;
+
+constexpr double strongest = 1000;  // no reading is believed more than this
+constexpr double denial = 0.02;     // a sensor that looked and saw nothing
+// A clock that did not fall: then it cannot have been held down, whatever a flag says.
+constexpr double clock_denial = 0.002;
+constexpr std::size_t min_trial_reference = 8;
+constexpr std::size_t min_cell_reference = 3;
+constexpr int em_round_count = 30;
+/// What it takes to name the reason that low clocks usually have in a run, where none was read.
+constexpr double min_habit_confidence = 0.97;
+constexpr std::ptrdiff_t max_reading_count = 32;
+
+Cause cause_of(std::size_t hypothesis) {
+  switch (hypothesis) {
+    case power:
+      return Cause::throttle_power;
+    case thermal:
+      return Cause::throttle_thermal;
+    case other:
+    case quota:
+      return Cause::throttle_other;
+    case misses:
+      return Cause::cache_miss;
+    case interruption:
+      return Cause::interference;
+    case work:
+      return Cause::more_work;
+    default:
+      return Cause::unexplained;
+  }
+}
+
+std::optional<std::size_t> hypothesis_of(const ThrottleSource& source) {
+  if (source.quota) return quota;
+  switch (source.reason) {
+    case ThrottleClass::power_sustained:
+    case ThrottleClass::power_burst:
+    case ThrottleClass::power_peak:
+      return power;
+    case ThrottleClass::thermal:
+      return thermal;
+    case ThrottleClass::external:
+    case ThrottleClass::vr:
+    case ThrottleClass::os:
+      return other;
+    case ThrottleClass::none:
+      // "Throttled" without a reason is a reason for nothing but that; inferred, it is a low clock.
+      if (source.inferred) return std::nullopt;
+      return other;
+  }
+  return std::nullopt;
+}
+
+struct Window {
+  int64_t begin_ns = 0;
+  int64_t end_ns = 0;
+};
+
+/// Values of normal frames, to ask how unusual one is.
+class Tail {
+ public:
+  void add(double value) { values_.push_back(value); }
+  void sort() { std::sort(values_.begin(), values_.end()); }
+  [[nodiscard]] std::size_t count() const { return values_.size(); }
+  /// Share of normal values at least as large, never below half of one of them.
+  [[nodiscard]] double at_least(double value) const {
+    const auto first = std::lower_bound(values_.begin(), values_.end(), value);
+    return (static_cast<double>(values_.end() - first) + 0.5) /
+           (static_cast<double>(values_.size()) + 1);
+  }
+  [[nodiscard]] double quantile_of(double share) const {
+    return values_[static_cast<std::size_t>(share * static_cast<double>(values_.size() - 1))];
+  }
+
+ private:
+  std::vector<double> values_;
+};
+
+/// Likelihood ratio of a reading that the cause would show nine times in ten.
+double ratio_against(const Tail& tail, double value) {
+  return std::min(0.9 / tail.at_least(value), strongest);
+}
+
+/// A number per frame with what is normal for it: the median of the normal frames of its trial, or
+/// of its cell where the trial has too few.
+class Reference {
+ public:
+  Reference(std::span<const TimedFrame> frames, const std::vector<bool>& normal,
+            const std::vector<std::optional<double>>& values) {
+    std::map<std::size_t, std::vector<double>> by_trial;
+    std::map<std::size_t, std::vector<double>> by_cell;
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+      if (!normal[i] || !values[i]) continue;
+      by_trial[frames[i].trial_index].push_back(*values[i]);
+      by_cell[frames[i].cell].push_back(*values[i]);
+    }
+    for (const auto& [trial, list] : by_trial)
+      if (list.size() >= min_trial_reference) trial_[trial] = median(list);
+    for (const auto& [cell, list] : by_cell)
+      if (list.size() >= min_cell_reference) cell_[cell] = median(list);
+  }
+  [[nodiscard]] std::optional<double> of(const TimedFrame& frame) const {
+    if (const auto found = trial_.find(frame.trial_index); found != trial_.end())
+      return found->second;
+    if (const auto found = cell_.find(frame.cell); found != cell_.end()) return found->second;
+    return std::nullopt;
+  }
+
+ private:
+  std::map<std::size_t, double> trial_;
+  std::map<std::size_t, double> cell_;
+};
+
+/// One slow frame while it is judged.
+struct Case {
+  const TimedFrame* frame = nullptr;
+  const SlowFrame* slow = nullptr;
+  Window episode;
+  double excess_s = 0;
+  Likelihood likelihood{};
+  std::array<bool, hypothesis_count> shown{};              // some reading speaks for it
+  bool clock_low = false;                                  // and that explains the time
+  std::vector<std::pair<std::size_t, Evidence>> evidence;  // by hypothesis
+
+  /// Multiplies the likelihood of a hypothesis.
+  void weigh(std::size_t hypothesis, double ratio) { likelihood[hypothesis] *= ratio; }
+};
+
+/// Where a sensor of this resolution can see the frame: itself, or as much of its episode around it
+/// as the sensor needs.
+Window window_of(const Case& one, int64_t resolution_ns) {
+  const int64_t length_ns = one.frame->end_ns - one.frame->begin_ns;
+  if (length_ns >= resolution_ns) return {one.frame->begin_ns, one.frame->end_ns};
+  const int64_t missing_ns = resolution_ns - length_ns;
+  Window window{one.frame->begin_ns - missing_ns / 2, one.frame->end_ns + missing_ns / 2};
+  if (one.episode.end_ns - one.episode.begin_ns <= resolution_ns) return one.episode;
+  if (window.begin_ns < one.episode.begin_ns) {
+    window.end_ns += one.episode.begin_ns - window.begin_ns;
+    window.begin_ns = one.episode.begin_ns;
+  }
+  if (window.end_ns > one.episode.end_ns) {
+    window.begin_ns -= window.end_ns - one.episode.end_ns;
+    window.end_ns = one.episode.end_ns;
+  }
+  return window;
+}
+
+class Judge {
+ public:
+  Judge(const RunRecord& run, std::span<const TimedFrame> frames, const OutlierSearch& search,
+        const Throttling& throttling)
+      : run_(run), frames_(frames), throttling_(throttling), normal_(frames.size(), true) {
+    std::vector<Window> episodes(search.episode_count, Window{INT64_MAX, INT64_MIN});
+    for (const SlowFrame& slow : search.slow) {
+      normal_[slow.frame] = false;
+      Window& episode = episodes[slow.episode];
+      episode.begin_ns = std::min(episode.begin_ns, frames[slow.frame].begin_ns);
+      episode.end_ns = std::max(episode.end_ns, frames[slow.frame].end_ns);
+    }
+    for (const SlowFrame& slow : search.slow) {
+      Case one;
+      one.frame = &frames[slow.frame];
+      one.slow = &slow;
+      one.episode = episodes[slow.episode];
+      one.excess_s = (one.frame->ms - slow.baseline_ms) * 1e-3;
+      one.likelihood.fill(1);
+      cases_.push_back(std::move(one));
+    }
+    length_.assign(search.episode_count, 0);
+    for (const SlowFrame& slow : search.slow) ++length_[slow.episode];
+  }
+
+  std::vector<Attribution> judge() {
+    look_at_clock();
+    look_at_throttling();
+    for (const Channel& channel : run_.channels) {
+      const auto series = run_.series.find(channel.id);
+      if (series == run_.series.end() || series->second.t_ns.empty()) continue;
+      if (channel.quantity == Quantity::cache_miss || channel.quantity == Quantity::memory_traffic)
+        look_at_misses(channel, series->second);
+      else if (channel.quantity == Quantity::interference && !is_quota(channel))
+        look_at_interference(channel, series->second);
+    }
+    merge_looks();
+    look_at_work(&FrameRecord::ray_count, "frames.ray_count");
+    look_at_work(&FrameRecord::node_visit_count, "frames.node_visit_count");
+    return decide();
+  }
+
+ private:
+  // -------------------------------------------------------------------------- clock
+
+  /// Did the same work run at a lower clock? Work is clock x time, so the clock explains a frame
+  /// whose time grew as its mean clock fell.
+  void look_at_clock() {
+    clock_ = device_clock(run_, frames_);
+    if (!clock_) return;
+    const DeviceClock* clock = &*clock_;
+    std::vector<std::optional<double>> values(frames_.size());
+    for (std::size_t i = 0; i < frames_.size(); ++i)
+      values[i] = clock->over(frames_[i].begin_ns, frames_[i].end_ns);
+    const Reference reference(frames_, normal_, values);
+    Tail tail;
+    std::vector<double> steady;
+    for (std::size_t i = 0; i < frames_.size(); ++i)
+      if (normal_[i] && values[i]) {
+        if (const auto expected = reference.of(frames_[i]))
+          tail.add(std::log(*expected / *values[i]));
+        steady.push_back(*values[i]);
+      }
+    tail.sort();
+    if (tail.count() < min_cell_reference) return;
+    // A few normal frames that straddle an event do not widen what is normal.
+    const double usual = std::max(tail.quantile_of(0.9), 0.0);
+    const double run_level = median(steady);
+    const Channel& channel = run_.channels[clock->channels.front()];
+    const double hz = clock->steady_hz.front();
+    for (Case& one : cases_) {
+      const Window window = window_of(one, clock->poll_ns());
+      const auto seen = clock->over(window.begin_ns, window.end_ns);
+      // Readings from before and after, where they agree, stand for what is in between.
+      if (!seen) continue;
+      const bool read = clock->sample_count(window.begin_ns, window.end_ns) > 0;
+      const double expected = reference.of(*one.frame).value_or(run_level);
+      const double fall = std::log(expected / *seen);
+      const double needed = std::log(one.slow->ratio);
+      one.evidence.emplace_back(low_clock, Evidence{channel.name, *seen * hz, expected * hz, "Hz"});
+      if (fall > std::max(0.05, 1.5 * usual) && fall > 0.5 * needed) {
+        one.clock_low = true;
+        const double ratio = ratio_against(tail, fall);
+        for (const std::size_t h : {power, thermal, other, low_clock}) one.weigh(h, ratio);
+        one.shown[low_clock] = true;
+        // Time that the clock explains needs no other explanation.
+        for (const std::size_t h : {misses, interruption}) one.weigh(h, 0.2);
+      } else if (read && fall < 0.25 * needed) {
+        for (const std::size_t h : {power, thermal, other, low_clock}) one.weigh(h, clock_denial);
+      } else {
+        one.weigh(low_clock, denial);
+      }
+    }
+  }
+
+  // -------------------------------------------------------------------------- reasons
+
+  /// What a source says of a stretch: the share in which it was set.
+  static double set_share(const ThrottleSource& source, const Window& window) {
+    return source.active.share(window.begin_ns, window.end_ns);
+  }
+
+  void look_at_throttling() {
+    struct Look {
+      double best = 0;  // likelihood ratio; 0: no source looked
+      Evidence evidence;
+      bool set = false;
+    };
+    // Per case and hypothesis the source that says most.
+    std::vector<std::array<Look, hypothesis_count>> looks(cases_.size());
+    std::vector<std::array<bool, hypothesis_count>> specific(cases_.size());
+    for (auto& flags : specific) flags.fill(false);
+    for (const ThrottleSource& source : throttling_.sources) {
+      const auto hypothesis = hypothesis_of(source);
+      if (!hypothesis || source.regime) continue;
+      Tail tail;
+      for (std::size_t i = 0; i < frames_.size(); ++i) {
+        const TimedFrame& frame = frames_[i];
+        if (normal_[i] && source.known.share(frame.begin_ns, frame.end_ns) > 0.5)
+          tail.add(set_share(source, {frame.begin_ns, frame.end_ns}));
+      }
+      tail.sort();
+      const Channel& channel = run_.channels[source.channel];
+      for (std::size_t c = 0; c < cases_.size(); ++c) {
+        Case& one = cases_[c];
+        const Window window = source.quota ? Window{one.frame->begin_ns, one.frame->end_ns}
+                                           : window_of(one, source.poll_ns);
+        if (source.known.share(window.begin_ns, window.end_ns) < 0.5) continue;
+        double share = set_share(source, window);
+        if (is_level(channel) && !source.inferred &&
+            one.frame->end_ns - one.frame->begin_ns < source.poll_ns) {
+          const auto read = share_of_readings(one, source, window);
+          if (!read) continue;
+          share = *read;
+        }
+        // A quota stops the work: the time it took must be the time that was lost.
+        const double enough =
+            source.quota
+                ? 0.5 * one.excess_s /
+                      std::max((static_cast<double>(window.end_ns - window.begin_ns)) * 1e-9, 1e-12)
+                : 0.3;
+        Look& look = looks[c][*hypothesis];
+        const bool set = share >= enough && share > 0;
+        double ratio = denial;
+        if (set) {
+          ratio = ratio_against(tail, share);
+          if (source.inferred) ratio = std::min(ratio, 0.9 / source.chance_ratio);
+        } else if (share > 0.1 * enough || !seen_within(one, source)) {
+          ratio = 0.5;
+        }
+        if (set && source.reason != ThrottleClass::none) specific[c][*hypothesis] = true;
+        if (ratio > look.best) {
+          look.best = ratio;
+          look.set = set;
+          look.evidence = {channel.name, share,
+                           tail.count() > 0 ? std::optional(tail.quantile_of(0.5)) : std::nullopt,
+                           "1"};
+        }
+      }
+    }
+    for (std::size_t c = 0; c < cases_.size(); ++c) {
+      Case& one = cases_[c];
+      bool any_set = false;
+      for (const std::size_t h : {power, thermal, other, quota}) {
+        Look& look = looks[c][h];
+        if (look.best == 0) continue;
+        // "Throttled" and a reason are one statement.
+        if (h == other && look.set && !specific[c][other] &&
+            (specific[c][power] || specific[c][thermal])) {
+          look.best = 1;
+          look.set = false;
+        }
+        one.weigh(h, look.best);
+        one.shown[h] = look.set && look.best > 1;
+        any_set = any_set || (h != quota && one.shown[h]);
+        one.evidence.emplace_back(h, look.evidence);
+      }
+      // A clock that is low while a reason is set is low for that reason.
+      if (any_set) one.weigh(low_clock, 0.05);
+    }
+  }
+
+  static bool is_level(const Channel& channel) { return channel.kind != Kind::cumulative; }
+
+  /// Of a sensor that is polled less often than frames end: the share of the readings of the
+  /// frame's episode that are set, of those near the frame if there are any. Only readings count at
+  /// which the clock was what it was in the frame: another clock may have another reason. Where
+  /// nobody looked during the episode, readings that are set on both sides of it stand for it;
+  /// nullopt otherwise.
+  [[nodiscard]] std::optional<double> share_of_readings(const Case& one,
+                                                        const ThrottleSource& source,
+                                                        const Window& near) const {
+    const auto found = run_.series.find(run_.channels[source.channel].id);
+    if (found == run_.series.end()) return std::nullopt;
+    const SampleSeries& series = found->second;
+    const auto place = [&](int64_t t_ns) {
+      return std::lower_bound(series.t_ns.begin(), series.t_ns.end(), t_ns) - series.t_ns.begin();
+    };
+    const double clock =
+        clock_ ? clock_->over(one.frame->begin_ns, one.frame->end_ns).value_or(0) : 0;
+    const auto share_in = [&](const Window& window) -> std::optional<double> {
+      // In a long episode the readings nearest to the frame are enough.
+      const auto middle = place(one.frame->begin_ns);
+      const auto first = std::max(place(window.begin_ns), middle - max_reading_count);
+      const auto last = std::min(place(window.end_ns), middle + max_reading_count);
+      std::size_t count = 0;
+      std::size_t set = 0;
+      for (auto i = first; i < last; ++i) {
+        const int64_t t_ns = series.t_ns[static_cast<std::size_t>(i)];
+        const auto then = clock > 0 ? clock_->over(t_ns, t_ns + 1) : std::nullopt;
+        if (then && std::abs(std::log(*then / clock)) > 0.12) continue;
+        ++count;
+        if (source.active.share(t_ns, t_ns + 1) > 0) ++set;
+      }
+      if (count == 0) return std::nullopt;
+      return static_cast<double>(set) / static_cast<double>(count);
+    };
+    if (const auto share = share_in(near)) return share;
+    if (const auto share = share_in(one.episode)) return share;
+    const double around = source.active.share(one.episode.begin_ns - source.poll_ns,
+                                              one.episode.end_ns + source.poll_ns);
+    return around > 0.99 ? std::optional(around) : std::nullopt;
+  }
+
+  /// Whether the episode is long enough for the source.
+  static bool seen_within(const Case& one, const ThrottleSource& source) {
+    return one.episode.end_ns - one.episode.begin_ns >= source.poll_ns;
+  }
+
+  // -------------------------------------------------------------------------- misses, interference
+
+  /// What the channels of one kind say of a case: the strongest for, else the weakest against.
+  struct Looks {
+    std::vector<double> best;  // by case; 0: nobody looked
+    std::vector<bool> shown;
+    std::vector<std::vector<Evidence>> evidence;
+    std::vector<double> strongest_for;
+
+    void note(std::size_t count, std::size_t c, double ratio, bool is_for, Evidence seen) {
+      if (best.empty()) {
+        best.assign(count, 0);
+        shown.assign(count, false);
+        evidence.resize(count);
+      }
+      if (ratio > best[c]) {
+        best[c] = ratio;
+        shown[c] = is_for && ratio > 1;
+        evidence[c].insert(evidence[c].begin(), std::move(seen));
+      } else {
+        evidence[c].push_back(std::move(seen));
+      }
+    }
+  };
+
+  [[nodiscard]] double rays_of(const TimedFrame& frame) const {
+    const auto& rays = run_.frames[frame.frame_index].ray_count;
+    return rays && *rays > 0 ? static_cast<double>(*rays) : 1;
+  }
+
+  /// Misses per ray must rise, and faster than the time: a counter that also counts what others do
+  /// rises with time alone.
+  void look_at_misses(const Channel& channel, const SampleSeries& series) {
+    const ChannelTrack track(channel, series);
+    std::vector<std::optional<double>> rates(frames_.size());
+    for (std::size_t i = 0; i < frames_.size(); ++i)
+      rates[i] = track.over(frames_[i].begin_ns, frames_[i].end_ns);
+    const Reference reference(frames_, normal_, rates);
+    const auto log_ratio = [](double value, double expected) {
+      return std::log(std::max(value, 1e-3 * expected) / expected);
+    };
+    Tail tail;
+    for (std::size_t i = 0; i < frames_.size(); ++i) {
+      if (!normal_[i] || !rates[i]) continue;
+      const auto expected = reference.of(frames_[i]);
+      if (expected && *expected > 0) tail.add(log_ratio(*rates[i], *expected));
+    }
+    tail.sort();
+    if (tail.count() < min_cell_reference) return;
+    const double usual = std::max(tail.quantile_of(0.9), 0.0);
+    for (std::size_t c = 0; c < cases_.size(); ++c) {
+      Case& one = cases_[c];
+      const Window window = window_of(one, track.resolution_ns());
+      const auto rate = track.over(window.begin_ns, window.end_ns);
+      const auto expected = reference.of(*one.frame);
+      if (!rate || !expected || *expected <= 0) continue;
+      const double rise = log_ratio(*rate, *expected);
+      // Per ray: as the frame took `ratio` times as long for its rays.
+      const double per_ray = rise + std::log(one.slow->ratio);
+      const std::string unit = channel.unit == Unit::none || unit_info(channel.unit).si == "count"
+                                   ? "count/s"
+                                   : std::string(unit_info(channel.unit).si) + "/s";
+      const bool is_for = rise > std::max(0.10, 1.5 * usual) && per_ray > 0.26;
+      double ratio = 0.5;
+      if (is_for)
+        ratio = ratio_against(tail, rise);
+      else if (rise < 0.05 && window.end_ns - window.begin_ns >= track.resolution_ns())
+        ratio = denial;
+      miss_looks_.note(cases_.size(), c, ratio, is_for, {channel.name, *rate, *expected, unit});
+    }
+  }
+
+  void look_at_interference(const Channel& channel, const SampleSeries& series) {
+    const ChannelTrack track(channel, series);
+    const bool is_time = unit_info(channel.unit).si == "s" && channel.kind == Kind::cumulative;
+    std::vector<std::optional<double>> rates(frames_.size());
+    for (std::size_t i = 0; i < frames_.size(); ++i)
+      rates[i] = track.over(frames_[i].begin_ns, frames_[i].end_ns);
+    const Reference reference(frames_, normal_, rates);
+    Tail tail;
+    for (std::size_t i = 0; i < frames_.size(); ++i)
+      if (normal_[i] && rates[i]) tail.add(*rates[i]);
+    tail.sort();
+    if (tail.count() < min_cell_reference) return;
+    const double usual = tail.quantile_of(0.9);
+    for (std::size_t c = 0; c < cases_.size(); ++c) {
+      Case& one = cases_[c];
+      const Window window = window_of(one, track.resolution_ns());
+      const auto rate = track.over(window.begin_ns, window.end_ns);
+      if (!rate) continue;
+      const double expected = reference.of(*one.frame).value_or(tail.quantile_of(0.5));
+      const double length_s = static_cast<double>(window.end_ns - window.begin_ns) * 1e-9;
+      const bool resolved = window.end_ns - window.begin_ns >= track.resolution_ns();
+      bool is_for = false;
+      double ratio = 0.5;
+      if (is_time) {
+        // Time that others had is time that the frame lost; several CPUs may each lose it.
+        const double lost_ratio = 1 - 1 / one.slow->ratio;
+        const double explained = (*rate - expected) / lost_ratio;
+        is_for = explained > 0.3 && *rate > usual;
+        if (is_for)
+          ratio = ratio_against(tail, *rate);
+        else if (resolved && explained < 0.1)
+          ratio = 0.1;
+        if (!resolved && (*rate - expected) * length_s < 0.1 * one.excess_s) ratio = 0.5;
+      } else {
+        is_for = *rate > std::max(2 * expected, 1.5 * usual) && *rate - expected > 2 / length_s;
+        // How often says less than for how long.
+        if (is_for)
+          ratio = std::min(ratio_against(tail, *rate), 50.0);
+        else if (resolved)
+          ratio = 0.3;
+      }
+      const std::string unit = is_time ? "s/s" : "count/s";
+      interference_looks_.note(cases_.size(), c, ratio, is_for,
+                               {channel.name, *rate, expected, unit});
+    }
+  }
+
+  void merge_looks() {
+    const auto merge = [&](Looks& looks, std::size_t hypothesis) {
+      if (looks.best.empty()) return;
+      for (std::size_t c = 0; c < cases_.size(); ++c) {
+        Case& one = cases_[c];
+        if (looks.best[c] == 0) continue;
+        double ratio = looks.best[c];
+        // A stopped group waits and is switched out: that is the quota's doing.
+        if (hypothesis == interruption && one.shown[quota]) ratio *= 0.02;
+        one.weigh(hypothesis, ratio);
+        one.shown[hypothesis] = looks.shown[c];
+        for (Evidence& seen : looks.evidence[c])
+          one.evidence.emplace_back(hypothesis, std::move(seen));
+      }
+    };
+    merge(miss_looks_, misses);
+    merge(interference_looks_, interruption);
+  }
+
+  // -------------------------------------------------------------------------- work
+
+  void look_at_work(std::optional<int64_t> FrameRecord::*count, const char* name) {
+    std::vector<std::optional<double>> values(frames_.size());
+    bool any = false;
+    for (std::size_t i = 0; i < frames_.size(); ++i) {
+      const auto& counted = run_.frames[frames_[i].frame_index].*count;
+      if (!counted || *counted <= 0) continue;
+      values[i] = static_cast<double>(*counted);
+      any = true;
+    }
+    if (!any) return;
+    const Reference reference(frames_, normal_, values);
+    Tail tail;
+    for (std::size_t i = 0; i < frames_.size(); ++i)
+      if (const auto expected = reference.of(frames_[i]); normal_[i] && values[i] && expected)
+        tail.add(std::log(*values[i] / *expected));
+    tail.sort();
+    if (tail.count() < min_cell_reference) return;
+    for (std::size_t c = 0; c < cases_.size(); ++c) {
+      Case& one = cases_[c];
+      const auto& value = values[one.slow->frame];
+      const auto expected = reference.of(*one.frame);
+      if (!value || !expected) continue;
+      const double rise = std::log(*value / *expected);
+      const double needed = std::log(one.slow->ratio);
+      const bool is_for = rise > 0.05 && rise > 0.5 * needed;
+      one.evidence.emplace_back(work, Evidence{name, *value, *expected, "count"});
+      if (is_for) {
+        // Counted, not sensed: exact, and it must take its time.
+        one.shown[work] = true;
+        one.weigh(work, strongest * ratio_against(tail, rise));
+      } else if (!one.shown[work]) {
+        one.weigh(work, denial);
+      }
+    }
+  }
+
+  // -------------------------------------------------------------------------- decision
+
+  std::vector<Attribution> decide() {
+    // A cause that no reading speaks for is not considered; only a low clock, which is one, may be
+    // due to a reason that was missed between two polls.
+    for (Case& one : cases_)
+      for (std::size_t h = 0; h < nothing; ++h) {
+        if (one.shown[h]) continue;
+        const bool missed = one.clock_low && (h == power || h == thermal || h == other);
+        if (!missed) one.likelihood[h] = 0;
+      }
+
+    // How frequent each is in this run: expectation maximization over episodes, from a prior that
+    // half an episode of each and three of no cause make. An episode does not count for itself: one
+    // chance overlap must not become its own proof.
+    Likelihood prior;
+    prior.fill(0.5);
+    prior[nothing] = 3;
+    std::vector<Likelihood> posterior(cases_.size());
+    std::vector<Likelihood> by_episode(length_.size(), Likelihood{});
+    Likelihood total = prior;
+    for (int round = 0; round < em_round_count; ++round) {
+      std::vector<Likelihood> next(length_.size(), Likelihood{});
+      for (std::size_t c = 0; c < cases_.size(); ++c) {
+        const std::size_t episode = cases_[c].slow->episode;
+        double sum = 0;
+        for (std::size_t h = 0; h < hypothesis_count; ++h)
+          sum += posterior[c][h] = (total[h] - by_episode[episode][h]) * cases_[c].likelihood[h];
+        for (std::size_t h = 0; h < hypothesis_count; ++h) {
+          posterior[c][h] /= sum;
+          next[episode][h] += posterior[c][h] / static_cast<double>(length_[episode]);
+        }
+      }
+      by_episode = std::move(next);
+      total = prior;
+      for (const Likelihood& one : by_episode)
+        for (std::size_t h = 0; h < hypothesis_count; ++h) total[h] += one[h];
+    }
+
+    std::vector<Attribution> result;
+    for (std::size_t c = 0; c < cases_.size(); ++c) result.push_back(attribute(c, posterior[c]));
+    inherit(result, posterior);
+    return result;
+  }
+
+  Attribution attribute(std::size_t c, const Likelihood& posterior) const {
+    std::array<double, cause_count> by_cause{};
+    for (std::size_t h = 0; h < hypothesis_count; ++h)
+      by_cause[static_cast<std::size_t>(cause_of(h))] += posterior[h];
+    const auto best = static_cast<std::size_t>(std::max_element(by_cause.begin(), by_cause.end()) -
+                                               by_cause.begin());
+    Attribution result;
+    // Named without a reading of its own, only because it is the usual reason here.
+    bool is_shown = best == static_cast<std::size_t>(Cause::unexplained);
+    for (std::size_t h = 0; h < nothing; ++h)
+      is_shown = is_shown || (static_cast<std::size_t>(cause_of(h)) == best && cases_[c].shown[h]);
+    if (by_cause[best] >= (is_shown ? min_confidence : min_habit_confidence))
+      result.cause = static_cast<Cause>(best);
+    result.confidence = by_cause[static_cast<std::size_t>(result.cause)];
+    // What speaks for the cause first, then the rest.
+    for (const bool wanted : {true, false})
+      for (const auto& [h, seen] : cases_[c].evidence) {
+        const bool about = h == low_clock ? is_throttle(result.cause) || cases_[c].clock_low
+                                          : cause_of(h) == result.cause;
+        if (about == wanted) result.evidence.push_back(seen);
+      }
+    return result;
+  }
+
+  static bool is_throttle(Cause cause) {
+    return cause == Cause::throttle_power || cause == Cause::throttle_thermal ||
+           cause == Cause::throttle_other;
+  }
+
+  /// A clock recovers after its reason is gone: frames of an episode whose clock is low and whose
+  /// reason is not known have the reason that the others of the episode have, if those agree.
+  void inherit(std::vector<Attribution>& result, const std::vector<Likelihood>& posterior) const {
+    std::map<std::size_t, std::array<std::size_t, cause_count>> causes;  // by episode
+    for (std::size_t c = 0; c < cases_.size(); ++c)
+      if (is_throttle(result[c].cause) && cases_[c].clock_low)
+        ++causes[cases_[c].slow->episode][static_cast<std::size_t>(result[c].cause)];
+    for (std::size_t c = 0; c < cases_.size(); ++c) {
+      if (result[c].cause != Cause::unexplained || !cases_[c].clock_low) continue;
+      const auto found = causes.find(cases_[c].slow->episode);
+      if (found == causes.end()) continue;
+      const auto& counts = found->second;
+      const auto best =
+          static_cast<std::size_t>(std::max_element(counts.begin(), counts.end()) - counts.begin());
+      std::size_t total = 0;
+      for (const std::size_t count : counts) total += count;
+      if (counts[best] < total) continue;
+      const double confidence = posterior[c][power] + posterior[c][thermal] + posterior[c][other] +
+                                posterior[c][low_clock];
+      if (confidence < min_confidence) continue;
+      result[c] = attribute(c, posterior[c]);
+      result[c].cause = static_cast<Cause>(best);
+      result[c].confidence = confidence;
+    }
+  }
+
+  const RunRecord& run_;
+  std::span<const TimedFrame> frames_;
+  const Throttling& throttling_;
+  std::vector<bool> normal_;
+  std::vector<Case> cases_;
+  std::optional<DeviceClock> clock_;
+  std::vector<std::size_t> length_;  // of episodes, in slow frames
+  Looks miss_looks_;
+  Looks interference_looks_;
+};
+
+}  // namespace
+
+std::string_view to_string(Cause cause) {
+  switch (cause) {
+    case Cause::throttle_thermal:
+      return "throttle-thermal";
+    case Cause::throttle_power:
+      return "throttle-power";
+    case Cause::throttle_other:
+      return "throttle-other";
+    case Cause::cache_miss:
+      return "cache-miss";
+    case Cause::interference:
+      return "interference";
+    case Cause::more_work:
+      return "more-work";
+    case Cause::unexplained:
+      return "unexplained";
+  }
+  return "unexplained";
+}
+
+std::vector<Attribution> find_causes(const RunRecord& run, std::span<const TimedFrame> frames,
+                                     const OutlierSearch& search, const Throttling& throttling) {
+  return Judge(run, frames, search, throttling).judge();
+}
+
+}  // namespace energyprof::analysis

@@ -1,0 +1,246 @@
+#include "analysis/causes.h"
+
+#include <fmt/format.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+
+#include <unistd.h>
+
+#include "analysis/analyze.h"
+#include "core/run_db.h"
+#include "planted_run.h"
+#include "scores.h"
+
+namespace energyprof::analysis {
+namespace {
+
+using synthetic::Effect;
+using synthetic::Options;
+using synthetic::Scores;
+
+const std::set<Effect> all_effects{Effect::power, Effect::thermal, Effect::external,
+                                   Effect::quota, Effect::cache,   Effect::preemption,
+                                   Effect::work};
+
+// ---------------------------------------------------------------------------- single cases
+
+using planted::RunBuilder;
+
+constexpr int64_t ms = 1'000'000;
+
+/// 200 frames of 10 ms, of which frames 100 to 109 take `slow_ms`. Sensors at 1 kHz see the slow
+/// stretch from 1000 ms on.
+struct OneStretch {
+  explicit OneStretch(double slow_ms) {
+    std::vector<double> times_ms;
+    for (std::size_t i = 0; i < 200; ++i)
+      times_ms.push_back(i >= 100 && i < 110 ? slow_ms : 10 + 0.1 * static_cast<double>(i % 3));
+    builder.add_trial("m", 0, "A", times_ms);
+    begin = static_cast<std::size_t>((builder.run.frames[100].begin_ns - planted::begin_ns) / ms);
+    end = static_cast<std::size_t>((builder.run.frames[110].begin_ns - planted::begin_ns) / ms);
+    count = static_cast<std::size_t>((builder.now_ns - planted::begin_ns) / ms);
+  }
+  /// A channel that reads `during` in the stretch and `otherwise` outside.
+  Channel& level(const std::string& name, Quantity quantity, Unit unit, Kind kind, double during,
+                 double otherwise) {
+    return builder.add_channel(name, quantity, unit, kind, ms, count, [=, this](std::size_t i) {
+      return i >= begin && i < end ? during : otherwise;
+    });
+  }
+  /// A counter that rises by so much a sample.
+  Channel& counter(const std::string& name, Quantity quantity, Unit unit, double during,
+                   double otherwise) {
+    return builder.add_channel(name, quantity, unit, Kind::cumulative, ms, count,
+                               [=, this, total = 0.0](std::size_t i) mutable {
+                                 return total += i >= begin && i < end ? during : otherwise;
+                               });
+  }
+  [[nodiscard]] std::vector<Outlier> outliers() const {
+    auto found = analyze(builder.run).outliers;
+    EXPECT_EQ(found.size(), 10u);
+    return found;
+  }
+  void expect(Cause cause, const std::string& first_evidence) const {
+    for (const Outlier& outlier : outliers()) {
+      EXPECT_EQ(to_string(outlier.attribution.cause), to_string(cause));
+      EXPECT_GE(outlier.attribution.confidence, min_confidence);
+      ASSERT_FALSE(outlier.attribution.evidence.empty());
+      EXPECT_EQ(outlier.attribution.evidence.front().channel, first_evidence);
+    }
+  }
+
+  RunBuilder builder;
+  std::size_t begin = 0, end = 0, count = 0;
+};
+
+TEST(Cause, WithoutAnySensorIsUnexplained) {
+  const OneStretch stretch(20);
+  for (const Outlier& outlier : stretch.outliers()) {
+    EXPECT_EQ(outlier.attribution.cause, Cause::unexplained);
+    EXPECT_GE(outlier.attribution.confidence, 0.0);
+    EXPECT_LE(outlier.attribution.confidence, 1.0);
+  }
+}
+
+TEST(Cause, IsTheReasonThatIsSetWhileTheClockIsLow) {
+  OneStretch stretch(20);
+  stretch.level("i915.gt0.act_freq", Quantity::frequency, Unit::megahertz, Kind::gauge, 650, 1300);
+  stretch.level("i915.gt0.throttle.thermal", Quantity::throttle, Unit::none, Kind::flag, 1, 0);
+  stretch.level("i915.gt0.throttle.pl1", Quantity::throttle, Unit::none, Kind::flag, 0, 0);
+  stretch.expect(Cause::throttle_thermal, "i915.gt0.act_freq");
+  const Evidence clock = stretch.outliers().at(5).attribution.evidence.front();
+  EXPECT_NEAR(clock.value, 650e6, 1e6);
+  EXPECT_NEAR(clock.expected.value_or(0), 1300e6, 1e6);
+  EXPECT_EQ(clock.unit, "Hz");
+}
+
+TEST(Cause, IsNotAReasonThatLeftTheClockAlone) {
+  OneStretch stretch(20);
+  stretch.level("i915.gt0.act_freq", Quantity::frequency, Unit::megahertz, Kind::gauge, 1300, 1300);
+  stretch.level("i915.gt0.throttle.thermal", Quantity::throttle, Unit::none, Kind::flag, 1, 0);
+  for (const Outlier& outlier : stretch.outliers())
+    EXPECT_EQ(outlier.attribution.cause, Cause::unexplained);
+}
+
+TEST(Cause, IsNotAReasonThatIsAlwaysSet) {
+  OneStretch stretch(20);
+  stretch.level("i915.gt0.throttle.pl1", Quantity::throttle, Unit::none, Kind::flag, 1, 1);
+  for (const Outlier& outlier : stretch.outliers())
+    EXPECT_EQ(outlier.attribution.cause, Cause::unexplained);
+}
+
+TEST(Cause, OfALowClockWithoutAReasonIsUnexplainedWithTheClockAsEvidence) {
+  OneStretch stretch(20);
+  stretch.level("i915.gt0.act_freq", Quantity::frequency, Unit::megahertz, Kind::gauge, 650, 1300);
+  for (const Outlier& outlier : stretch.outliers()) {
+    EXPECT_EQ(outlier.attribution.cause, Cause::unexplained);
+    EXPECT_EQ(outlier.attribution.evidence.at(0).channel, "i915.gt0.act_freq");
+  }
+}
+
+TEST(Cause, IsAQuotaThatTookTheTime) {
+  OneStretch stretch(20);
+  stretch.counter("cgroup.cpu.throttled", Quantity::interference, Unit::microsecond, 500, 0);
+  stretch.counter("psi.cpu.some", Quantity::interference, Unit::microsecond, 600, 5);
+  stretch.expect(Cause::throttle_other, "cgroup.cpu.throttled");
+}
+
+TEST(Cause, IsStolenTime) {
+  OneStretch stretch(20);
+  stretch.counter("proc.stat.steal", Quantity::interference, Unit::clock_tick, 0.05, 0);
+  stretch.expect(Cause::interference, "proc.stat.steal");
+}
+
+TEST(Cause, IsMissesThatRoseFasterThanTime) {
+  OneStretch stretch(20);
+  stretch.counter("perf.llc_misses", Quantity::cache_miss, Unit::count, 3000, 1000);
+  stretch.expect(Cause::cache_miss, "perf.llc_misses");
+}
+
+TEST(Cause, IsNotMissesThatRoseWithTime) {
+  OneStretch stretch(20);
+  stretch.counter("perf.llc_misses", Quantity::cache_miss, Unit::count, 1000, 1000);
+  for (const Outlier& outlier : stretch.outliers())
+    EXPECT_EQ(outlier.attribution.cause, Cause::unexplained);
+}
+
+TEST(Cause, IsMoreRays) {
+  OneStretch stretch(20);
+  for (std::size_t i = 100; i < 110; ++i) stretch.builder.run.frames[i].ray_count = 2000;
+  stretch.expect(Cause::more_work, "frames.ray_count");
+}
+
+TEST(Cause, OfTheSameRunIsTheSameEachTime) {
+  const auto made = synthetic::make_run({.seed = 3, .effects = all_effects});
+  const auto once = analyze(made.run).outliers;
+  const auto twice = analyze(made.run).outliers;
+  ASSERT_EQ(once.size(), twice.size());
+  for (std::size_t i = 0; i < once.size(); ++i) {
+    EXPECT_EQ(once[i].attribution.cause, twice[i].attribution.cause);
+    EXPECT_EQ(once[i].attribution.confidence, twice[i].attribution.confidence);
+  }
+}
+
+TEST(Cause, SurvivesARunThroughTheDatabase) {
+  const auto made = synthetic::make_run({.seed = 4, .effects = all_effects, .base_ms = 10});
+  const auto file =
+      std::filesystem::temp_directory_path() / fmt::format("energyprof_causes_{}.sqlite", getpid());
+  std::filesystem::remove(file);
+  synthetic::write_run(made.run, file);
+  const auto read = analyze(read_run(file)).outliers;
+  std::filesystem::remove(file);
+  const auto kept = analyze(made.run).outliers;
+  ASSERT_EQ(read.size(), kept.size());
+  for (std::size_t i = 0; i < read.size(); ++i)
+    EXPECT_EQ(read[i].attribution.cause, kept[i].attribution.cause) << i;
+}
+
+// ---------------------------------------------------------------------------- many runs
+
+Scores scores_of(Options options, uint64_t first_seed, uint64_t last_seed) {
+  Scores scores;
+  for (uint64_t seed = first_seed; seed <= last_seed; ++seed) {
+    options.seed = seed;
+    const auto made = synthetic::make_run(options);
+    SCOPED_TRACE(made.description);
+    scores.add(made);
+  }
+  return scores;
+}
+
+TEST(Causes, AreNamedRightOver210RunsWhoseSensorsCoverThem) {
+  const Scores scores = scores_of({.effects = all_effects}, 1, 210);
+  EXPECT_GE(scores.macro_f1(), 0.95) << scores.text();
+  EXPECT_LE(scores.wrong_ratio(), 0.02) << scores.text();
+  EXPECT_GE(scores.recall(), 0.97) << scores.text();
+  EXPECT_GE(scores.precision(), 0.97) << scores.text();
+  // A confidence means what it says, as far as this many causes can tell.
+  EXPECT_GE(scores.right_ratio(0.97, 1.01), 0.97) << scores.text();
+}
+
+TEST(Causes, AreNamedRightWithoutAClockOver70Runs) {
+  const Scores scores = scores_of({.effects = all_effects, .clock = false}, 301, 370);
+  EXPECT_GE(scores.macro_f1(), 0.95) << scores.text();
+  EXPECT_LE(scores.wrong_ratio(), 0.02) << scores.text();
+}
+
+/// Wrong causes, which must be rare whatever is missing, over 50 runs.
+void expect_hardly_any_wrong(const Options& options, uint64_t first_seed) {
+  const Scores scores = scores_of(options, first_seed, first_seed + 49);
+  EXPECT_GT(scores.hit, 100u);
+  EXPECT_LE(scores.wrong_ratio(), 0.02) << scores.text();
+}
+
+TEST(Causes, StayUnexplainedRatherThanWrongWithoutReasonFlags) {
+  expect_hardly_any_wrong({.effects = all_effects, .reason_flags = false}, 401);
+  expect_hardly_any_wrong({.effects = all_effects, .reason_flags = false, .limits = false}, 501);
+  expect_hardly_any_wrong({.effects = {Effect::power, Effect::thermal, Effect::external},
+                           .reason_flags = false,
+                           .clock = false,
+                           .limits = false},
+                          551);
+}
+
+TEST(Causes, StayUnexplainedRatherThanWrongWithoutACacheCounter) {
+  expect_hardly_any_wrong({.effects = {Effect::cache}, .cache_counter = false}, 601);
+  expect_hardly_any_wrong({.effects = {Effect::cache}, .clock = false, .cache_counter = false},
+                          651);
+}
+
+TEST(Causes, StayUnexplainedRatherThanWrongWithoutInterferenceCounters) {
+  expect_hardly_any_wrong({.effects = {Effect::preemption, Effect::quota}, .interference = false},
+                          701);
+}
+
+TEST(Causes, StayUnexplainedRatherThanWrongWithSlowReasonFlags) {
+  expect_hardly_any_wrong({.effects = all_effects, .slow_flags = true}, 751);
+}
+
+TEST(Causes, OfNothingPlantedAreHardlyEverFound) {
+  const Scores scores = scores_of({}, 801, 840);
+  EXPECT_LE(scores.false_alarm, 40u) << scores.text();
+}
+
+}  // namespace
+}  // namespace energyprof::analysis

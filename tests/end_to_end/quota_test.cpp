@@ -1,0 +1,135 @@
+// A CPU quota is throttling that can be switched on: the analysis must name it, and must not name
+// it where there is none.
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <sys/stat.h>
+#include <cerrno>
+#include <cstring>
+#include <nlohmann/json.hpp>
+#include <optional>
+
+#include "tests/end_to_end/program.h"
+
+namespace energyprof {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+using test::Output;
+
+/// A cgroup that may use half a CPU; goes away with its test.
+class HalfCpu {
+ public:
+  /// Empty when the group could be made, else why not.
+  std::string make() {
+    std::string reasons;
+    for (const char* mount :
+         {"/sys/fs/cgroup/cpu", "/sys/fs/cgroup/cpu,cpuacct", "/sys/fs/cgroup"}) {
+      const fs::path dir = fs::path(mount) / fmt::format("energyprof_test_{}", getpid());
+      const std::string reason = make_in(dir);
+      if (reason.empty()) {
+        dir_ = dir;
+        return {};
+      }
+      rmdir(dir.c_str());
+      reasons += reason + "; ";
+    }
+    return "no cgroup with a CPU quota can be made here: " + reasons;
+  }
+  HalfCpu() = default;
+  HalfCpu(const HalfCpu&) = delete;
+  HalfCpu& operator=(const HalfCpu&) = delete;
+  ~HalfCpu() {
+    if (!dir_.empty()) rmdir(dir_.c_str());
+  }
+  /// `command`, run inside the group.
+  [[nodiscard]] std::vector<std::string> inside(std::vector<std::string> command) const {
+    const std::vector<std::string> enter{
+        "sh", "-c", fmt::format("echo $$ > '{}' && exec \"$@\"", (dir_ / "cgroup.procs").string()),
+        "sh"};
+    command.insert(command.begin(), enter.begin(), enter.end());
+    return command;
+  }
+
+ private:
+  static std::string make_in(const fs::path& dir) {
+    if (mkdir(dir.c_str(), 0755) != 0)
+      return fmt::format("mkdir '{}': {}", dir.string(), std::strerror(errno));
+    const bool v1 = fs::exists(dir / "cpu.cfs_quota_us");
+    if (!v1 && !fs::exists(dir / "cpu.max"))
+      return fmt::format("'{}' is not governed by the cpu controller", dir.string());
+    const auto [file, text] =
+        v1 ? std::pair("cpu.cfs_quota_us", "50000") : std::pair("cpu.max", "50000 100000");
+    std::ofstream out(dir / file);
+    out << text << std::flush;
+    if (!out) return fmt::format("'{}' cannot be written", (dir / file).string());
+    return {};
+  }
+
+  fs::path dir_;
+};
+
+class Quota : public testing::Test {
+ protected:
+  void SetUp() override {
+    const json probe = json::parse(test::run({ENERGYPROF_PROGRAM, "probe", "--json"}).out);
+    for (const json& device : probe.at("devices"))
+      if (device.at("refused").is_null()) return;
+    GTEST_SKIP() << "no Vulkan device";
+  }
+
+  /// A study of the teapot at 320x180: frames of about 10 ms on a CPU.
+  [[nodiscard]] std::vector<std::string> study(const fs::path& out) const {
+    const fs::path config = dir_ / "config.json";
+    std::ofstream(config) << R"({
+      "name": "quota", "models": ["teapot"], "algorithms": ["BVH_FTB_DF", "BVH_FTB_BF"],
+      "views": [0],
+      "image": {"width": 320, "height": 180}, "frames": {"warmup": 4, "timed": 80},
+      "idle": {"before_s": 0, "between_s": 0, "after_s": 0}, "cooldown": {"max_s": 0}
+    })";
+    return {ENERGYPROF_PROGRAM, "--config", config.string(), "--out", out.string(), "--quiet"};
+  }
+
+  /// Outliers of a run: all, and those attributed to throttling.
+  struct Count {
+    std::size_t all = 0;
+    std::size_t throttled = 0;
+    std::string text;
+  };
+  static Count outliers(const fs::path& run) {
+    Count count;
+    const json report = json::parse(test::read_text(run / "report.json"));
+    for (const json& outlier : report.at("outliers")) {
+      ++count.all;
+      const auto cause = outlier.at("cause").get<std::string>();
+      if (cause.starts_with("throttle")) ++count.throttled;
+      count.text += fmt::format("{:.1f} x {} ({:.2f}); ", outlier.at("ratio").get<double>(), cause,
+                                outlier.at("confidence").get<double>());
+    }
+    return count;
+  }
+
+  test::TempDir dir_;
+};
+
+TEST_F(Quota, ThrottlingIsNamedWhereItIsAndNowhereElse) {
+  HalfCpu group;
+  if (const std::string reason = group.make(); !reason.empty()) GTEST_SKIP() << reason;
+
+  const Output held = test::run(group.inside(study(dir_ / "held")));
+  ASSERT_EQ(held.code, 0) << held.err;
+  const Output freed = test::run(study(dir_ / "freed"));
+  ASSERT_EQ(freed.code, 0) << freed.err;
+
+  const Count with = outliers(dir_ / "held");
+  EXPECT_GE(with.all, 10u) << with.text;
+  EXPECT_GE(static_cast<double>(with.throttled), 0.95 * static_cast<double>(with.all)) << with.text;
+  const Count without = outliers(dir_ / "freed");
+  EXPECT_EQ(without.throttled, 0u) << without.text;
+}
+
+}  // namespace
+}  // namespace energyprof
