@@ -1,0 +1,33 @@
+/// From a run to what is compared in it: channels over frames, throttled frames, factors of cells.
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "analysis/correlate.h"
+#include "analysis/factors.h"
+#include "analysis/frame_table.h"
+#include "analysis/throttle.h"
+#include "core/record.h"
+
+namespace energyprof::analysis {
+
+/// Every channel over `frames`, or why it says nothing about them.
+std::vector<ChannelSignal> channel_signals(const RunRecord& run,
+                                           std::span<const TimedFrame> frames);
+
+/// Whether each frame was throttled, at least in part; nullopt where no source saw it. Sources that
+/// are always set are left out where others are not: they say how the run was, not when something
+/// happened in it.
+std::vector<std::optional<bool>> throttled_frames(const Throttling& throttling,
+                                                  std::span<const TimedFrame> frames);
+
+/// Why cells take what they take: work from their counted frames, modelled or measured misses, and
+/// the clock and temperature while their frames ran. `signals` as channel_signals() gives them;
+/// `cell_joules_per_frame` by cell.
+FactorReport explain_cells(const RunRecord& run, std::span<const Cell> cells,
+                           std::span<const TimedFrame> frames,
+                           std::span<const ChannelSignal> signals,
+                           std::span<const std::optional<double>> cell_joules_per_frame);
+
+}  // namespace energyprof::analysis
