@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cctype>
 #include <cmath>
+#include <map>
 #include <string>
 
 #include "analysis/analyze.h"
@@ -38,8 +39,7 @@ int64_t refresh_ns(const Channel& channel, const ChannelTrack& track) {
   return refresh;
 }
 
-ChannelSignal signal_of(const RunRecord& run, const Channel& channel,
-                        std::span<const TimedFrame> frames) {
+ChannelSignal signal_of(const RunRecord& run, const Channel& channel, std::span<const Span> spans) {
   ChannelSignal signal;
   signal.name = channel.name;
   signal.quantity = channel.quantity;
@@ -61,9 +61,8 @@ ChannelSignal signal_of(const RunRecord& run, const Channel& channel,
     return signal;
   }
   signal.period_ns = refresh_ns(channel, track);
-  signal.value.reserve(frames.size());
-  for (const TimedFrame& frame : frames)
-    signal.value.push_back(track.over(frame.begin_ns, frame.end_ns));
+  signal.value.reserve(spans.size());
+  for (const Span& span : spans) signal.value.push_back(track.over(span.begin_ns, span.end_ns));
   return signal;
 }
 
@@ -114,12 +113,30 @@ std::vector<std::optional<double>> cell_means(std::size_t cell_count,
 
 }  // namespace
 
+std::vector<Span> comparable_spans(std::span<const TimedFrame> frames) {
+  std::map<std::size_t, std::vector<double>> length_ns;
+  for (const TimedFrame& frame : frames)
+    length_ns[frame.cell].push_back(static_cast<double>(frame.end_ns - frame.begin_ns));
+  std::map<std::size_t, int64_t> quick_ns;
+  for (const auto& [cell, lengths] : length_ns)
+    quick_ns[cell] = std::max<int64_t>(1, std::llround(quantile(lengths, 0.25)));
+  std::vector<Span> spans;
+  spans.reserve(frames.size());
+  for (const TimedFrame& frame : frames) {
+    const int64_t length = quick_ns[frame.cell];
+    const int64_t begin_ns = frame.begin_ns + (frame.end_ns - frame.begin_ns) / 2 - length / 2;
+    spans.push_back({begin_ns, begin_ns + length});
+  }
+  return spans;
+}
+
 std::vector<ChannelSignal> channel_signals(const RunRecord& run,
                                            std::span<const TimedFrame> frames) {
   std::vector<ChannelSignal> signals(run.channels.size());
   if (frames.empty()) return signals;
+  const std::vector<Span> spans = comparable_spans(frames);
   tbb::parallel_for(std::size_t{0}, signals.size(),
-                    [&](std::size_t c) { signals[c] = signal_of(run, run.channels[c], frames); });
+                    [&](std::size_t c) { signals[c] = signal_of(run, run.channels[c], spans); });
   return signals;
 }
 
@@ -128,11 +145,12 @@ std::vector<std::optional<bool>> throttled_frames(const Throttling& throttling,
   const bool has_events = std::any_of(throttling.sources.begin(), throttling.sources.end(),
                                       [](const ThrottleSource& source) { return !source.regime; });
   std::vector<std::optional<bool>> result(frames.size());
+  const std::vector<Span> spans = comparable_spans(frames);
   for (const ThrottleSource& source : throttling.sources) {
     if (source.regime && has_events) continue;
-    for (std::size_t i = 0; i < frames.size(); ++i) {
-      const bool active = source.active.share(frames[i].begin_ns, frames[i].end_ns) > 0;
-      const bool known = source.known.share(frames[i].begin_ns, frames[i].end_ns) >= 0.5;
+    for (std::size_t i = 0; i < spans.size(); ++i) {
+      const bool active = source.active.share(spans[i].begin_ns, spans[i].end_ns) > 0;
+      const bool known = source.known.share(spans[i].begin_ns, spans[i].end_ns) >= 0.5;
       if (active || known) result[i] = result[i].value_or(false) || active;
     }
   }
