@@ -14,8 +14,10 @@
 
 #include "analysis/format.h"
 #include "analysis/frame_table.h"
+#include "analysis/relations.h"
 #include "analysis/report_text.h"
 #include "analysis/run_facts.h"
+#include "analysis/throttle.h"
 
 namespace energyprof::analysis {
 namespace {
@@ -443,28 +445,34 @@ std::vector<Structure> list_structures(const RunRecord& run) {
   return structures;
 }
 
-std::vector<EnergyRow> energy_rows(const Analysis& analysis, std::vector<std::string>& warnings) {
-  const bool recorded = std::any_of(
-      analysis.sensors.begin(), analysis.sensors.end(), [](const SensorSummary& sensor) {
-        return sensor.channel.quantity == Quantity::energy && sensor.is_usable();
-      });
-  const std::string refused = recorded ? "energy per frame is not computed by this version"
-                                       : "no energy channel was recorded";
-  std::vector<EnergyRow> rows;
-  for (const Cell& cell : analysis.cells) {
-    const auto same = std::find_if(rows.begin(), rows.end(), [&](const EnergyRow& row) {
-      return row.algorithm == cell.algorithm && row.model == cell.model;
-    });
-    EnergyRow& row = same != rows.end()
-                         ? *same
-                         : rows.emplace_back(EnergyRow{cell.algorithm, cell.model, 0, refused});
-    row.frame_count += static_cast<int64_t>(cell.frame_ms.size());
-  }
-  if (rows.empty()) return rows;
-  warnings.push_back(
-      "This version computes no energy per frame and no correlations: those "
-      "fields are empty, which does not mean that nothing was there.");
-  return rows;
+DeviceType device_type(const RunFacts& facts) {
+  if (is_cpu_device(facts)) return DeviceType::cpu;
+  const auto type =
+      facts.device.is_object() ? facts.device.value("type", nlohmann::json()) : nlohmann::json();
+  if (type == "integrated") return DeviceType::integrated;
+  return type == "discrete" ? DeviceType::discrete : DeviceType::unknown;
+}
+
+/// What belongs together: energy and frames, outliers and throttling, channels and time, cells and
+/// factors.
+void add_relations(const RunRecord& run, Analysis& analysis) {
+  const std::vector<TimedFrame> frames = timed_frames(run, analysis.cells);
+  EnergyReport report = price_energy(run, analysis.cells, frames, device_type(analysis.run));
+  analysis.energy = std::move(report.rows);
+  analysis.energy_by_channel = std::move(report.by_channel);
+  for (std::string& warning : report.warnings) analysis.warnings.push_back(std::move(warning));
+
+  std::set<std::size_t> slow;
+  for (const Outlier& outlier : analysis.outliers) slow.insert(outlier.frame_index);
+  std::vector<bool> is_outlier;
+  for (const TimedFrame& frame : frames) is_outlier.push_back(slow.contains(frame.frame_index));
+  const std::vector<ChannelSignal> signals = channel_signals(run, frames);
+  Correlations found = correlate(frames, is_outlier,
+                                 throttled_frames(analysis.throttling, frames), signals);
+  analysis.correlations = std::move(found.rows);
+  analysis.coincidence = std::move(found.coincidence);
+  analysis.factors =
+      explain_cells(run, analysis.cells, frames, signals, report.cell_joules_per_frame);
 }
 
 void warn_about_sampler(const SamplerCost& cost, std::vector<std::string>& warnings) {
@@ -554,7 +562,7 @@ Analysis analyze(const RunRecord& run) {
   analysis.sensors = summarize_sensors(run, !is_cpu_device(analysis.run), warnings);
   analysis.sampler.self_check = self_check(run, analysis.sensors);
   warn_about_sampler(analysis.sampler, warnings);
-  analysis.energy = energy_rows(analysis, warnings);
+  add_relations(run, analysis);
   analysis.headline = headline(analysis);
   return analysis;
 }

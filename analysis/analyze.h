@@ -9,6 +9,9 @@
 
 #include "analysis/causes.h"
 #include "analysis/outliers.h"
+#include "analysis/correlate.h"
+#include "analysis/energy.h"
+#include "analysis/factors.h"
 #include "analysis/self_check.h"
 #include "analysis/sensor_summary.h"
 #include "analysis/stats.h"
@@ -164,14 +167,6 @@ struct DeviceRefusal {
   std::string reason;
 };
 
-/// Joules of an algorithm on a model, or why there are none.
-struct EnergyRow {
-  std::string algorithm;
-  std::string model;
-  int64_t frame_count = 0;
-  std::string refused;
-};
-
 /// What sampling itself cost; each absent if the recorder did not say.
 struct SamplerCost {
   std::optional<int64_t> cpu_ns;
@@ -201,7 +196,11 @@ struct Analysis {
   std::vector<SensorSummary> sensors;
   std::vector<MissingSensor> missing_sensors;
   std::vector<DeviceRefusal> device_refusals;
-  std::vector<EnergyRow> energy;
+  std::vector<EnergyRow> energy;             ///< on the channel that counts
+  std::vector<EnergyRow> energy_by_channel;  ///< on all, side by side; never to be added
+  std::vector<Correlation> correlations;     ///< by channel
+  std::optional<Coincidence> coincidence;    ///< absent without timed frames
+  FactorReport factors;
   SamplerCost sampler;
   std::vector<Event> events;
   std::vector<std::string> warnings;

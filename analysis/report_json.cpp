@@ -240,13 +240,71 @@ std::string_view picture_kind(std::string_view file) {
   return "other";
 }
 
+json estimate(const std::optional<Estimate>& estimated) {
+  if (!estimated) return estimate(std::nullopt, std::nullopt);
+  return estimate(estimated->value, estimated->interval);
+}
+
 json energy_json(const EnergyRow& row) {
-  const json unknown = estimate(std::nullopt, std::nullopt);
-  return {{"algorithm", row.algorithm}, {"model", row.model},
-          {"frames", row.frame_count},  {"joules_per_frame", unknown},
-          {"nj_per_ray", unknown},      {"edp_js", nullptr},
-          {"idle_w", nullptr},          {"gross_joules_per_frame", unknown},
-          {"channel", nullptr},         {"refused", row.refused}};
+  return {{"algorithm", row.algorithm},
+          {"model", row.model},
+          {"frames", row.frame_count},
+          {"joules_per_frame", estimate(row.joules_per_frame)},
+          {"nj_per_ray", estimate(row.nj_per_ray)},
+          {"edp_js", or_null(row.edp_js)},
+          {"idle_w", or_null(row.idle_w)},
+          {"gross_joules_per_frame", estimate(row.gross_joules_per_frame)},
+          {"watts_above_idle", or_null(row.watts_above_idle)},
+          {"channel", text_or_null(row.channel)},
+          {"domain", row.channel.empty() ? json(nullptr) : json(to_string(row.domain))},
+          {"method", text_or_null(row.method)},
+          {"windows", row.window_count},
+          {"edge_error_ratio", or_null(row.edge_error_ratio)},
+          {"refused", text_or_null(row.refused)}};
+}
+
+json correlation_json(const Correlation& row) {
+  return {{"x", row.x},
+          {"y", row.y},
+          {"method", row.method},
+          {"lag_ms", or_null(row.lag_ms)},
+          {"coefficient", or_null(row.coefficient)},
+          {"low", row.interval ? json(row.interval->low) : json(nullptr)},
+          {"high", row.interval ? json(row.interval->high) : json(nullptr)},
+          {"p", or_null(row.p)},
+          {"q", or_null(row.q)},
+          {"n", row.frame_count},
+          {"verdict", to_string(row.verdict)}};
+}
+
+json coincidence_json(const Coincidence& c) {
+  json odds = estimate(std::nullopt, std::nullopt);
+  if (c.odds)
+    odds = {{"value", c.odds->value}, {"low", c.odds->low}, {"high", or_null(c.odds->high)}};
+  return {{"frames", c.frame_count},
+          {"outliers", c.outlier_count},
+          {"throttled", c.throttled_count},
+          {"throttled_outliers", c.throttled_outlier_count},
+          {"exposure_ratio", or_null(c.exposure_ratio)},
+          {"odds_ratio", std::move(odds)},
+          {"p", or_null(c.p)},
+          {"p_fisher", c.odds ? json(c.odds->p) : json(nullptr)},
+          {"q", or_null(c.q)},
+          {"verdict", to_string(c.verdict)}};
+}
+
+json factor_json(const Factor& factor) {
+  const auto& time = factor.time_interval;
+  const auto& energy = factor.energy_interval;
+  return {{"name", factor.name},
+          {"share_of_energy_variance", or_null(factor.share_of_energy_variance)},
+          {"share_of_energy_low", energy ? json(energy->low) : json(nullptr)},
+          {"share_of_energy_high", energy ? json(energy->high) : json(nullptr)},
+          {"share_of_time_variance", or_null(factor.share_of_time_variance)},
+          {"share_of_time_low", time ? json(time->low) : json(nullptr)},
+          {"share_of_time_high", time ? json(time->high) : json(nullptr)},
+          {"variance_inflation", or_null(factor.variance_inflation)},
+          {"note", text_or_null(factor.note)}};
 }
 
 json event_json(const Event& event, int64_t begin_ns) {
@@ -327,15 +385,22 @@ json report_json(const RunRecord& run, const Analysis& analysis,
     return json{{"file", file}, {"kind", picture_kind(file)}};
   });
   report["energy"] = list(analysis.energy, energy_json);
+  report["energy_by_channel"] = list(analysis.energy_by_channel, energy_json);
   report["outliers"] = list(analysis.outliers, [&](const Outlier& outlier) {
     return outlier_json(run, analysis, outlier);
   });
   report["regimes"] =
       list(analysis.regimes, [&](const TrialRegime& regime) { return regime_json(run, regime); });
   report["throttling"] = throttling_json(run, analysis.throttling);
-  report["correlations"] = json::array();
-  report["coincidence"] = nullptr;
-  report["factors"] = json::array();
+  report["correlations"] = list(analysis.correlations, correlation_json);
+  report["coincidence"] =
+      analysis.coincidence ? coincidence_json(*analysis.coincidence) : json(nullptr);
+  report["factors"] = list(analysis.factors.factors, factor_json);
+  report["factor_model"] = {
+      {"cells", analysis.factors.cell_count},
+      {"explained_time_ratio", or_null(analysis.factors.explained_time_ratio)},
+      {"explained_energy_ratio", or_null(analysis.factors.explained_energy_ratio)},
+      {"notes", analysis.factors.notes}};
   report["events"] = list(analysis.events, [&](const Event& event) {
     return event_json(event, analysis.run.begin_ns);
   });

@@ -268,13 +268,87 @@ void write_outliers(Page& page, const RunRecord& run, const Analysis& analysis) 
   for (const std::string& line : lines) page.line("- {}", escaped(line));
 }
 
+void write_relations(Page& page, const Analysis& analysis) {
+  if (!analysis.coincidence) return;
+  page.heading("What goes together");
+  page.line("{}\n", escaped(coincidence_text(analysis)));
+  const std::vector<std::string> lines = relation_text(analysis);
+  // The last line counts what is not listed.
+  const std::size_t row_count = lines.empty() ? 0 : lines.size() - 1;
+  for (std::size_t i = 0; i < std::min(row_count, list_length); ++i)
+    page.line("- {}", escaped(lines[i]));
+  if (!lines.empty()) page.line("\n{}", escaped(lines.back()));
+}
+
+/// Percent with its interval.
+std::string share(std::optional<double> value, const std::optional<Interval>& interval) {
+  if (!value) return "-";
+  if (!interval) return fmt::format("{:.0f}", 100 * *value);
+  return fmt::format("{:.0f} ({:.0f} to {:.0f})", 100 * *value, 100 * interval->low,
+                     100 * interval->high);
+}
+
+void write_factors(Page& page, const Analysis& analysis) {
+  const FactorReport& factors = analysis.factors;
+  if (factors.factors.empty()) return;
+  page.heading("What explains time and energy");
+  if (factors.explained_time_ratio) {
+    page.line("Shares of the variance of log time and log energy per ray across {}, 95 %.\n",
+              counted(factors.cell_count, "cell"));
+    page.table({"factor", ">time \\[%\\]", ">energy \\[%\\]", ">variance inflation", ""});
+    for (const Factor& factor : factors.factors)
+      page.row({escaped(factor.name), share(factor.share_of_time_variance, factor.time_interval),
+                share(factor.share_of_energy_variance, factor.energy_interval),
+                number(factor.variance_inflation, 1), escaped(factor.note)});
+    page.line("\nUnexplained: {:.0f} % of time{}.", 100 * (1 - *factors.explained_time_ratio),
+              factors.explained_energy_ratio
+                  ? fmt::format(", {:.0f} % of energy", 100 * (1 - *factors.explained_energy_ratio))
+                  : "");
+  }
+  for (const std::string& note : factors.notes) page.line("\n{}", escaped(note));
+}
+
+void write_energy_rows(Page& page, const std::vector<EnergyRow>& rows, bool with_channel) {
+  std::vector<std::string_view> titles{"algorithm",
+                                       "model",
+                                       ">frames",
+                                       ">net per frame, 95 %",
+                                       ">net per ray, 95 %",
+                                       ">gross per frame, 95 %",
+                                       ">EDP \\[mJ s\\]",
+                                       ">above idle \\[W\\]",
+                                       "method"};
+  if (with_channel) titles.insert(titles.begin(), {"channel", "domain"});
+  page.table(titles);
+  for (const EnergyRow& row : rows) {
+    std::vector<std::string> values{
+        escaped(row.algorithm),
+        escaped(row.model),
+        fmt::format("{}", row.frame_count),
+        estimate_text(row.joules_per_frame, 1, "J"),
+        estimate_text(row.nj_per_ray, 1e-9, "J"),
+        estimate_text(row.gross_joules_per_frame, 1, "J"),
+        row.edp_js ? fmt::format("{:.3g}", 1e3 * *row.edp_js) : "-",
+        number(row.watts_above_idle, 2),
+        row.refused.empty() ? escaped(row.method) : "refused: " + escaped(row.refused)};
+    if (with_channel)
+      values.insert(values.begin(), {escaped(row.channel), std::string(to_string(row.domain))});
+    page.row(values);
+  }
+}
+
 void write_energy(Page& page, const Analysis& analysis) {
   if (analysis.energy.empty()) return;
   page.heading("Energy");
-  page.table({"algorithm", "model", ">frames", "joules per frame"});
-  for (const EnergyRow& row : analysis.energy)
-    page.row({escaped(row.algorithm), escaped(row.model), fmt::format("{}", row.frame_count),
-              "refused: " + escaped(row.refused)});
+  if (const std::string text = energy_text(analysis); !text.empty())
+    page.line("{}\n", escaped(text));
+  write_energy_rows(page, analysis.energy, false);
+  if (analysis.energy_by_channel.size() <= analysis.energy.size()) return;
+  page.line(
+      "\nAll channels, side by side. Some contain others (the platform the package, the package "
+      "its "
+      "cores and its GPU): they must not be added.\n");
+  write_energy_rows(page, analysis.energy_by_channel, true);
 }
 
 void write_readings(Page& page, const Analysis& analysis) {
@@ -350,7 +424,9 @@ std::string report_md(const RunRecord& run, const Analysis& analysis,
     write_work(page, analysis);
     write_structures(page, analysis);
     write_outliers(page, run, analysis);
+    write_relations(page, analysis);
     write_energy(page, analysis);
+    write_factors(page, analysis);
     write_pictures(page, image_files);
   }
   write_sensors(page, analysis);

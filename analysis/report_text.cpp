@@ -4,10 +4,9 @@
 
 #include <algorithm>
 #include <array>
-#include <utility>
-
-#include <algorithm>
+#include <cmath>
 #include <map>
+#include <set>
 #include <string_view>
 #include <utility>
 
@@ -251,6 +250,64 @@ std::vector<std::string> throttling_text(const RunRecord& run, const Throttling&
     if (source.regime) line += "; so it is how the machine runs, and explains no single frame";
     lines.push_back(line + ".");
   }
+  return lines;
+}
+
+std::string estimate_text(const std::optional<Estimate>& estimate, double factor,
+                          std::string_view unit) {
+  if (!estimate) return "-";
+  return fmt::format("{} ({} to {})", scaled(estimate->value * factor, unit),
+                     scaled(estimate->interval.low * factor, unit),
+                     scaled(estimate->interval.high * factor, unit));
+}
+
+std::string energy_text(const Analysis& analysis) {
+  for (const EnergyRow& row : analysis.energy) {
+    if (!row.gross_joules_per_frame) continue;
+    std::string text = fmt::format("Energy is that of {} ({})", row.channel, to_string(row.domain));
+    if (row.idle_w) text += fmt::format(", less {} at rest", scaled(*row.idle_w, "W"));
+    return text + ".";
+  }
+  return {};
+}
+
+std::string coincidence_text(const Analysis& analysis) {
+  if (!analysis.coincidence) return {};
+  return "Outliers and throttling: " + to_string(analysis.coincidence->verdict) + ".";
+}
+
+std::vector<std::string> relation_text(const Analysis& analysis) {
+  std::vector<const Correlation*> related;
+  std::set<std::string> tied, untied, unknown;
+  for (const Correlation& row : analysis.correlations) {
+    if (row.verdict.relation == Relation::related) {
+      // Without a lag it says what the row without lags says.
+      if (row.lag_ms.value_or(1) != 0) related.push_back(&row);
+      tied.insert(row.y);
+    } else if (row.verdict.relation == Relation::not_related) {
+      untied.insert(row.y);
+    } else {
+      unknown.insert(row.y);
+    }
+  }
+  std::stable_sort(related.begin(), related.end(), [](const Correlation* a, const Correlation* b) {
+    return std::fabs(*a->coefficient) > std::fabs(*b->coefficient);
+  });
+  std::vector<std::string> lines;
+  for (const Correlation* row : related)
+    lines.push_back(
+        fmt::format("{}, {} ({}): {}.", row->x, row->y, row->method, to_string(row->verdict)));
+  const auto left = [&](std::set<std::string>& names, const std::set<std::string>& others) {
+    for (const std::string& name : others) names.erase(name);
+    return names.size();
+  };
+  left(unknown, untied);
+  const std::size_t unknown_count = left(unknown, tied);
+  const std::size_t untied_count = left(untied, tied);
+  if (!analysis.correlations.empty())
+    lines.push_back(fmt::format(
+        "Not related to frame times or outliers: {}; of {} it cannot be told. report.json has all.",
+        counted(untied_count, "other channel"), unknown_count));
   return lines;
 }
 

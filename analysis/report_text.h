@@ -3,6 +3,7 @@
 
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "analysis/analyze.h"
@@ -51,6 +52,20 @@ std::string evidence_text(const Attribution& attribution);
 /// Why frames were held back, how often, and how well that could be seen: a sentence per source
 /// that was ever set.
 std::vector<std::string> throttling_text(const RunRecord& run, const Throttling& throttling);
+/// "12.3 mJ (12.0 mJ to 12.6 mJ)": a value in `unit` with its interval; "-" where there is none.
+std::string estimate_text(const std::optional<Estimate>& estimate, double factor,
+                          std::string_view unit);
+
+/// Which channel the energies are of, what idling draws, and how they were found; empty without
+/// energies.
+std::string energy_text(const Analysis& analysis);
+
+/// Whether outliers come with throttling, in one sentence; empty without timed frames.
+std::string coincidence_text(const Analysis& analysis);
+
+/// Which channels are related to frame times or outliers: a line each, the surest first, and a line
+/// on all the others.
+std::vector<std::string> relation_text(const Analysis& analysis);
 
 /// How the score is made, with its weights, in one sentence.
 std::string score_text(const Analysis& analysis);

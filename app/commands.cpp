@@ -7,6 +7,7 @@
 #include <filesystem>
 
 #include "accel/models.h"
+#include "analysis/compare.h"
 #include "analysis/write_reports.h"
 #include "app/config.h"
 #include "app/interrupt.h"
@@ -24,6 +25,9 @@ fs::path dir_of(const fs::path& run) {
   if (fs::is_directory(run)) return run;
   return run.has_parent_path() ? run.parent_path() : fs::path(".");
 }
+
+/// Exit code of --fail-if-slower.
+constexpr int exit_slower = 3;
 
 bool validation_wanted() {
   const char* value = std::getenv("ENERGYPROF_VALIDATION");
@@ -75,6 +79,29 @@ int export_command(const ExportOptions& options) {
        analysis::export_csv(run, options.out.empty() ? dir : fs::path(options.out)))
     fmt::print("{}\n", file.string());
   return 0;
+}
+
+int compare_command(const CompareOptions& options) {
+  const analysis::Comparison comparison =
+      analysis::compare(read_run(options.a), read_run(options.b));
+  std::optional<analysis::SlowerVerdict> slower;
+  if (options.fail_if_slower_percent)
+    slower = analysis::slower_by(comparison, *options.fail_if_slower_percent);
+  if (options.json) {
+    nlohmann::json report = analysis::compare_json(comparison);
+    report["fail_if_slower"] = nullptr;
+    if (slower)
+      report["fail_if_slower"] = {{"percent", *options.fail_if_slower_percent},
+                                  {"slower", slower->slower},
+                                  {"measure", slower->in_cycles ? "cycles" : "time"},
+                                  {"text", slower->text}};
+    using nlohmann::json;
+    fmt::print("{}\n", report.dump(2, ' ', false, json::error_handler_t::replace));
+  } else {
+    fmt::print("{}", analysis::compare_text(comparison));
+    if (slower) fmt::print("{}\n", slower->text);
+  }
+  return slower && slower->slower ? exit_slower : 0;
 }
 
 int list_models_command() {

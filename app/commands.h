@@ -1,6 +1,7 @@
 /// The program's commands: each takes its options and returns the exit code.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -31,6 +32,13 @@ struct ExportOptions {
   bool full = false;
 };
 
+struct CompareOptions {
+  std::string a;
+  std::string b;
+  bool json = false;
+  std::optional<double> fail_if_slower_percent;
+};
+
 /// `energyprof --config`: the study, its analysis, its reports.
 int run_command(const RunOptions& options);
 /// `energyprof probe`
@@ -39,6 +47,8 @@ int probe_command(const ProbeOptions& options);
 int analyze_command(const std::string& run);
 /// `energyprof export`
 int export_command(const ExportOptions& options);
+/// `energyprof compare`
+int compare_command(const CompareOptions& options);
 /// `energyprof models`
 int list_models_command();
 /// `energyprof models fetch`

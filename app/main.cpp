@@ -42,6 +42,7 @@ class CommandLine {
     add_record();
     add_analyze();
     add_export();
+    add_compare();
     add_models();
     cli_.require_subcommand(0, 1);
   }
@@ -158,6 +159,25 @@ class CommandLine {
     command->callback([this] { action_ = [this] { return export_command(export_); }; });
   }
 
+  void add_compare() {
+    CLI::App* command =
+        cli_.add_subcommand("compare", "Two runs: is B slower, and is it the code?");
+    command->footer(
+        "Example: energyprof compare runs/before runs/after --fail-if-slower 2\n"
+        "  exits 3 if any cell, or all on average, takes more than 2 % more GPU cycles beyond "
+        "doubt.");
+    command->add_option("RUN_A", compare_.a, "A run directory, or the run.sqlite inside it")
+        ->required();
+    command->add_option("RUN_B", compare_.b, "What is compared with it")->required();
+    command->add_flag("--json", compare_.json, "The same as JSON");
+    command
+        ->add_option("--fail-if-slower", compare_.fail_if_slower_percent,
+                     "Exit 3 if B is slower by more than this, beyond doubt")
+        ->type_name("PCT")
+        ->check(CLI::Range(0.0, 10'000.0));
+    command->callback([this] { action_ = [this] { return compare_command(compare_); }; });
+  }
+
   void add_models() {
     CLI::App* command = cli_.add_subcommand("models", "The models that have a name");
     command->footer("Example: energyprof models fetch dragon");
@@ -183,6 +203,7 @@ class CommandLine {
   RecordOptions record_;
   std::string analyze_run_;
   ExportOptions export_;
+  CompareOptions compare_;
   std::string model_;
   std::function<int()> action_;
 };

@@ -1,9 +1,12 @@
 #include "app/results.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <ctime>
+#include <map>
 #include <optional>
+#include <vector>
 
 #include "analysis/analyze.h"
 #include "analysis/report_text.h"
@@ -53,6 +56,22 @@ void print_summary(const analysis::Analysis& result, std::FILE* to) {
                row.score_interval_ms.high, row.normalized);
   if (const std::string outliers = analysis::outlier_text(result); !outliers.empty())
     fmt::print(to, "{}\n", outliers);
+  std::map<std::string, std::vector<std::string>> refused;
+  for (const analysis::EnergyRow& row : result.energy) {
+    if (row.joules_per_frame)
+      fmt::print(to, "{}, {}: {} a frame, {} a ray above idle\n", row.algorithm, row.model,
+                 analysis::estimate_text(row.joules_per_frame, 1, "J"),
+                 analysis::estimate_text(row.nj_per_ray, 1e-9, "J"));
+    else
+      refused[row.refused].push_back(fmt::format("{}, {}", row.algorithm, row.model));
+  }
+  for (const auto& [reason, rows] : refused)
+    fmt::print(
+        to, "No energy{}: {}\n",
+        rows.size() == result.energy.size() ? "" : fmt::format(" of {}", fmt::join(rows, "; ")),
+        reason);
+  if (const std::string text = analysis::coincidence_text(result); !text.empty())
+    fmt::print(to, "{}\n", text);
   if (result.run.command) {
     fmt::print(to, "{}\n", result.headline);
     for (const analysis::Reading& row : analysis::readings(result))

@@ -468,9 +468,9 @@ std::optional<HardwareCounts> TraceProgram::Impl::count_hardware(uint32_t frame)
   const Owned<VkQueryPool> query = make_counter_query(context);
   const Owned<VkCommandPool> commands_pool = make_command_pool(context);
   const auto commands = make_command_buffers(context, commands_pool.get(), 2);
-  HardwareCounts counts;
+  HardwareCounts counted;
   std::vector<VkPerformanceCounterResultKHR> results(physical.counters.size());
-  counts.begin_ns = now_ns();
+  counted.begin_ns = now_ns();
   {
     // To be held while queries are recorded, too.
     const ProfilingLock lock(context);
@@ -502,11 +502,11 @@ std::optional<HardwareCounts> TraceProgram::Impl::count_hardware(uint32_t frame)
                                      bytes, 0),
           "read the performance counters");
   }
-  counts.end_ns = now_ns();
+  counted.end_ns = now_ns();
   for (size_t i = 0; i < results.size(); ++i) {
-    counts.values.push_back(counter_value(physical.counters[i], results[i]));
+    counted.values.push_back(counter_value(physical.counters[i], results[i]));
   }
-  return counts;
+  return counted;
 }
 
 TraceProgram::TraceProgram(Device& device, const TraceSetup& setup)

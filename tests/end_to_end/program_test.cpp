@@ -425,6 +425,39 @@ TEST_F(Tracing, AnalyzeGivesTheSameNumbersAgain) {
   EXPECT_EQ(read_text(out() / "report.json"), before);
 }
 
+TEST_F(Tracing, ComparesTwoRuns) {
+  const Arguments study = small_study({"--quiet", "--set", "frames.timed=12"});
+  ASSERT_EQ(program(study).code, 0);
+  const std::string run = out().string();
+  const Output same = program({"compare", run, run, "--json", "--fail-if-slower", "0"});
+  EXPECT_EQ(same.code, 0) << same.err;
+  const json report = json::parse(same.out);
+  ASSERT_FALSE(report.at("cells").empty());
+  EXPECT_EQ(report.at("cells").at(0).at("time_ratio").at("value"), 1);
+  EXPECT_FALSE(report.at("fail_if_slower").at("slower"));
+  EXPECT_THAT(program({"compare", run, run}).out, HasSubstr("No difference in"));
+
+  // Every frame of a copy takes three times as long; what the clock did is forgotten.
+  const fs::path slower = out() / "slower.sqlite";
+  {
+    const RunRecord record = read_run(run);
+    RunWriter writer(slower);
+    for (const Trial& trial : record.trials) writer.put_trial(trial);
+    for (FrameRecord frame : record.frames) {
+      frame.end_ns += 2 * (frame.end_ns - frame.begin_ns);
+      writer.add_frame(frame);
+    }
+    writer.close();
+  }
+  const Output failed = program({"compare", run, slower.string(), "--fail-if-slower", "50"});
+  EXPECT_EQ(failed.code, 3);
+  EXPECT_THAT(failed.out, HasSubstr("in time, as no clock is known in both"));
+  EXPECT_EQ(program({"compare", run, slower.string()}).code, 0);
+  EXPECT_EQ(program({"compare", slower.string(), run, "--fail-if-slower", "50"}).code, 0);
+  EXPECT_EQ(program({"compare", run}).code, 2);
+  EXPECT_EQ(program({"compare", run, "/nowhere"}).code, 1);
+}
+
 TEST_F(Tracing, ExportsCsvAndTimeline) {
   ASSERT_EQ(program(small_study({"--quiet"})).code, 0);
   ASSERT_EQ(
@@ -945,6 +978,7 @@ TEST_F(Program, EveryCommandHasHelpWithAnExample) {
                                      {"probe", "--help"},
                                      {"analyze", "--help"},
                                      {"export", "--help"},
+                                     {"compare", "--help"},
                                      {"models", "--help"},
                                      {"models", "fetch", "--help"}}) {
     const Output output = program(arguments);

@@ -1,0 +1,798 @@
+#include "analysis/energy.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <boost/math/distributions/students_t.hpp>
+#include <cctype>
+#include <cmath>
+#include <map>
+#include <numeric>
+#include <random>
+#include <set>
+#include <tuple>
+#include <utility>
+
+#include "analysis/analyze.h"
+#include "analysis/energy_curve.h"
+#include "analysis/format.h"
+#include "analysis/nnls.h"
+
+namespace energyprof::analysis {
+namespace {
+
+constexpr std::size_t max_windows_per_trial = 8;
+constexpr std::size_t max_windows_per_idle = 8;
+constexpr std::size_t max_block_count = 100;
+constexpr std::size_t regression_replicate_count = 300;
+/// Of an idle stretch left out at each end: what came before it fades.
+constexpr double idle_margin_ratio = 0.05;
+
+double seconds(int64_t duration_ns) { return static_cast<double>(duration_ns) * 1e-9; }
+
+struct Stretch {
+  int64_t begin_ns = 0;
+  int64_t end_ns = 0;
+};
+
+/// What was traced in one trial, timed frames only.
+struct TimedStretch {
+  std::size_t cell = 0;
+  std::size_t first = 0;  // into the frames, in time order
+  std::size_t last = 0;   // one behind
+};
+
+/// What the channels have in common: which frames make a row, and when nothing was traced.
+struct Plan {
+  std::span<const TimedFrame> frames;
+  std::vector<double> rays;  // by frame; negative: unknown
+  std::vector<TimedStretch> stretches;
+  std::vector<std::size_t> row_of_cell;
+  std::vector<EnergyRow> rows;       // algorithm, model and frame count filled in
+  std::vector<double> mean_frame_s;  // by row
+  std::vector<Stretch> idle;
+  bool idle_is_recorded = false;  // as events; else guessed from gaps
+};
+
+struct Window {
+  std::size_t cell = 0;
+  double joules = 0;
+  double error_j = 0;
+  double length_s = 0;
+  double frame_count = 0;
+  double ray_count = 0;
+};
+
+struct IdleWindow {
+  std::size_t stretch = 0;
+  double joules = 0;
+  double error_j = 0;
+  double length_s = 0;
+};
+
+std::string lower(std::string text) {
+  std::transform(text.begin(), text.end(), text.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return text;
+}
+
+double t_quantile(double freedom) {
+  return boost::math::quantile(boost::math::students_t(std::max(freedom, 1.0)), 0.975);
+}
+
+Estimate around(double value, double standard_error, double freedom) {
+  const double reach = t_quantile(freedom) * standard_error;
+  return {value, {value - reach, value + reach}};
+}
+
+// ---------------------------------------------------------------------------- the plan
+
+/// Stretches of [begin_ns, end_ns) that no trial and no frame touches.
+std::vector<Stretch> gaps_between_trials(const RunRecord& run, int64_t begin_ns, int64_t end_ns) {
+  std::vector<Stretch> busy;
+  for (const Trial& trial : run.trials)
+    if (trial.end_ns) busy.push_back({trial.begin_ns, *trial.end_ns});
+  for (const FrameRecord& frame : run.frames)
+    busy.push_back({std::min(frame.submit_ns, frame.begin_ns), frame.end_ns});
+  std::sort(busy.begin(), busy.end(),
+            [](const Stretch& a, const Stretch& b) { return a.begin_ns < b.begin_ns; });
+  std::vector<Stretch> gaps;
+  int64_t free_ns = begin_ns;
+  for (const Stretch& stretch : busy) {
+    if (stretch.begin_ns > free_ns) gaps.push_back({free_ns, stretch.begin_ns});
+    free_ns = std::max(free_ns, stretch.end_ns);
+  }
+  if (end_ns > free_ns) gaps.push_back({free_ns, end_ns});
+  return gaps;
+}
+
+Plan make_plan(const RunRecord& run, std::span<const Cell> cells,
+               std::span<const TimedFrame> frames) {
+  Plan plan;
+  plan.frames = frames;
+  std::map<std::pair<std::string, std::string>, std::size_t> row_of;
+  for (const Cell& cell : cells) {
+    const auto [found, is_new] =
+        row_of.emplace(std::pair(cell.model, cell.algorithm), plan.rows.size());
+    if (is_new) {
+      EnergyRow& row = plan.rows.emplace_back();
+      row.algorithm = cell.algorithm;
+      row.model = cell.model;
+    }
+    plan.row_of_cell.push_back(found->second);
+  }
+  plan.mean_frame_s.resize(plan.rows.size());
+  for (const TimedFrame& frame : frames) {
+    EnergyRow& row = plan.rows[plan.row_of_cell[frame.cell]];
+    ++row.frame_count;
+    plan.mean_frame_s[plan.row_of_cell[frame.cell]] += frame.ms * 1e-3;
+    const auto& rays = run.frames[frame.frame_index].ray_count;
+    plan.rays.push_back(rays ? static_cast<double>(*rays) : -1);
+  }
+  for (std::size_t r = 0; r < plan.rows.size(); ++r)
+    if (plan.rows[r].frame_count > 0)
+      plan.mean_frame_s[r] /= static_cast<double>(plan.rows[r].frame_count);
+  for (std::size_t i = 0; i < frames.size();) {
+    TimedStretch stretch{frames[i].cell, i, i};
+    while (i < frames.size() && frames[i].trial_index == frames[stretch.first].trial_index) ++i;
+    stretch.last = i;
+    plan.stretches.push_back(stretch);
+  }
+
+  for (const Event& event : run.events)
+    if (event.kind == "idle" && event.end_ns && *event.end_ns > event.t_ns)
+      plan.idle.push_back({event.t_ns, *event.end_ns});
+  plan.idle_is_recorded = !plan.idle.empty();
+  if (!plan.idle_is_recorded) {
+    std::optional<Stretch> sampled;
+    for (const auto& [id, series] : run.series)
+      for (int64_t t_ns : series.t_ns)
+        sampled = sampled
+                      ? Stretch{std::min(sampled->begin_ns, t_ns), std::max(sampled->end_ns, t_ns)}
+                      : Stretch{t_ns, t_ns};
+    if (sampled) plan.idle = gaps_between_trials(run, sampled->begin_ns, sampled->end_ns);
+  }
+  return plan;
+}
+
+// ---------------------------------------------------------------------------- one channel
+
+/// All rows on one channel.
+class Pricing {
+ public:
+  Pricing(const RunRecord& run, const Plan& plan, const EnergyCurve& curve,
+          const EnergyConfig& config)
+      : run_(run), plan_(plan), curve_(curve), config_(config) {
+    window_ns_ =
+        static_cast<int64_t>(config.updates_per_window * static_cast<double>(curve.update_ns()));
+    cut_idle();
+    for (std::size_t i = 0; i < plan.stretches.size(); ++i) cut_windows(plan.stretches[i], 1);
+    split_single_windows();
+  }
+
+  std::vector<EnergyRow> rows(const std::string& channel, EnergyDomain domain, bool integrated) {
+    draw_idle();
+    std::vector<EnergyRow> result;
+    for (std::size_t r = 0; r < plan_.rows.size(); ++r) {
+      EnergyRow row = plan_.rows[r];
+      row.channel = channel;
+      row.domain = domain;
+      if (has_windows(r)) {
+        price_by_windows(r, row);
+        row.method = "windows";
+      } else if (!price_by_regression(r, row)) {
+        row.refused = too_short(r);
+      } else {
+        row.method = "regression";
+      }
+      if (integrated && !row.method.empty()) row.method += ", power integrated";
+      result.push_back(std::move(row));
+    }
+    return result;
+  }
+
+  /// Net, by cell.
+  [[nodiscard]] std::vector<std::optional<double>> by_cell(std::size_t cell_count) const {
+    std::vector<std::optional<double>> result(cell_count);
+    if (idle_.empty()) return result;
+    for (std::size_t cell = 0; cell < cell_count; ++cell) {
+      Window sum;
+      for (const Window& window : windows_)
+        if (window.cell == cell) add(window, sum);
+      if (sum.frame_count > 0)
+        result[cell] = (sum.joules - idle_w_ * sum.length_s) / sum.frame_count;
+    }
+    return result;
+  }
+
+ private:
+  static void add(const Window& window, Window& sum) {
+    sum.joules += window.joules;
+    sum.length_s += window.length_s;
+    sum.frame_count += window.frame_count;
+    sum.ray_count += window.ray_count;
+  }
+
+  // -- idle
+
+  void cut_idle() {
+    for (std::size_t i = 0; i < plan_.idle.size(); ++i) {
+      const Stretch& whole = plan_.idle[i];
+      const auto margin_ns =
+          std::max(2 * curve_.update_ns(),
+                   static_cast<int64_t>(idle_margin_ratio *
+                                        static_cast<double>(whole.end_ns - whole.begin_ns)));
+      const Stretch inner{std::max(whole.begin_ns + margin_ns, curve_.begin_ns()),
+                          std::min(whole.end_ns - margin_ns, curve_.end_ns())};
+      const int64_t length_ns = inner.end_ns - inner.begin_ns;
+      if (length_ns < window_ns_ / 4) continue;
+      const auto count = static_cast<int64_t>(std::clamp<std::size_t>(
+          static_cast<std::size_t>(length_ns / window_ns_), 1, max_windows_per_idle));
+      for (int64_t k = 0; k < count; ++k) {
+        const int64_t begin_ns = inner.begin_ns + k * length_ns / count;
+        const int64_t end_ns = inner.begin_ns + (k + 1) * length_ns / count;
+        const auto drawn = curve_.between(begin_ns, end_ns);
+        if (drawn) idle_.push_back({i, drawn->joules, drawn->error_j, seconds(end_ns - begin_ns)});
+      }
+    }
+    if (!plan_.idle_is_recorded) drop_odd_idle();
+    double joules = 0;
+    double length_s = 0;
+    for (const IdleWindow& window : idle_) {
+      joules += window.joules;
+      length_s += window.length_s;
+    }
+    if (length_s > 0) idle_w_ = joules / length_s;
+  }
+
+  /// Between the trials of a run that does not say when it idled, something may have been built:
+  /// windows far from the middle are not idle.
+  void drop_odd_idle() {
+    if (idle_.size() < 3) return;
+    std::vector<double> watts;
+    for (const IdleWindow& window : idle_) watts.push_back(window.joules / window.length_s);
+    const double middle = median(watts);
+    std::vector<double> distance;
+    for (double w : watts) distance.push_back(std::fabs(w - middle));
+    const double reach = std::max(4 * 1.4826 * median(distance), 0.05 * middle);
+    std::vector<IdleWindow> kept;
+    for (std::size_t i = 0; i < idle_.size(); ++i)
+      if (distance[i] <= reach) kept.push_back(idle_[i]);
+    idle_ = std::move(kept);
+  }
+
+  /// Bootstrap of the baseline: stretches are drawn again where there are several, as what differs
+  /// between them (heat, background work) is what is uncertain; else the windows of the one.
+  void draw_idle() {
+    if (idle_.empty()) return;
+    std::map<std::size_t, std::vector<std::size_t>> groups;
+    for (std::size_t i = 0; i < idle_.size(); ++i) groups[idle_[i].stretch].push_back(i);
+    const bool by_stretch = groups.size() >= 3;
+    std::vector<std::vector<std::size_t>> units;
+    if (by_stretch) {
+      for (const auto& [stretch, members] : groups) units.push_back(members);
+    } else {
+      for (std::size_t i = 0; i < idle_.size(); ++i) units.push_back({i});
+    }
+    const auto count = static_cast<double>(units.size());
+    const double stretch_out = count > 1 ? std::sqrt(count / (count - 1)) : 1;
+    std::mt19937_64 random(config_.seed);
+    std::normal_distribution<double> normal;
+    for (std::size_t replicate = 0; replicate < config_.replicate_count; ++replicate) {
+      double joules = 0;
+      double length_s = 0;
+      for (std::size_t draw = 0; draw < units.size(); ++draw)
+        for (std::size_t i : units[random() % units.size()]) {
+          joules += idle_[i].joules + normal(random) * idle_[i].error_j;
+          length_s += idle_[i].length_s;
+        }
+      idle_draws_w_.push_back(idle_w_ + stretch_out * (joules / length_s - idle_w_));
+    }
+  }
+
+  // -- windows
+
+  void cut_windows(const TimedStretch& stretch, std::size_t at_least) {
+    const auto& frames = plan_.frames;
+    const int64_t begin_ns = frames[stretch.first].begin_ns;
+    const int64_t end_ns = frames[stretch.last - 1].end_ns;
+    const std::size_t frame_count = stretch.last - stretch.first;
+    if (end_ns - begin_ns < window_ns_) return;
+    std::size_t count = static_cast<std::size_t>((end_ns - begin_ns) / window_ns_);
+    count = std::min({std::max(count, at_least), max_windows_per_trial, frame_count});
+    // Frames that end before their window's share of the time is over belong to it.
+    std::size_t first = stretch.first;
+    for (std::size_t k = 1; k <= count; ++k) {
+      const int64_t until_ns =
+          begin_ns + static_cast<int64_t>(static_cast<double>(end_ns - begin_ns) *
+                                          static_cast<double>(k) / static_cast<double>(count));
+      std::size_t last = first;
+      while (last < stretch.last && (k == count || frames[last].begin_ns < until_ns)) ++last;
+      if (last == first) continue;
+      const int64_t from_ns = frames[first].begin_ns;
+      const int64_t to_ns = last < stretch.last ? frames[last].begin_ns : end_ns;
+      const auto drawn = curve_.between(from_ns, to_ns);
+      if (drawn && drawn->error_j <= 2 * config_.max_error_ratio * drawn->joules) {
+        Window window{stretch.cell,
+                      drawn->joules,
+                      drawn->error_j,
+                      seconds(to_ns - from_ns),
+                      static_cast<double>(last - first),
+                      0};
+        bool rays_known = true;
+        for (std::size_t i = first; i < last; ++i) {
+          rays_known = rays_known && plan_.rays[i] >= 0;
+          window.ray_count += plan_.rays[i];
+        }
+        if (!rays_known) window.ray_count = 0;
+        windows_.push_back(window);
+      }
+      first = last;
+    }
+  }
+
+  /// A cell with a single window has no spread: its two halves have one, even if they are shorter
+  /// than a window should be; the sum of both is as certain as before.
+  void split_single_windows() {
+    std::map<std::size_t, std::size_t> count;
+    for (const Window& window : windows_) ++count[window.cell];
+    for (const TimedStretch& stretch : plan_.stretches) {
+      const auto found = count.find(stretch.cell);
+      if (found == count.end() || found->second != 1) continue;
+      const std::size_t before = windows_.size();
+      cut_windows(stretch, 2);
+      if (windows_.size() < before + 2) {
+        windows_.resize(before);
+        continue;
+      }
+      const auto whole = std::find_if(windows_.begin(), windows_.end(), [&](const Window& window) {
+        return window.cell == stretch.cell;
+      });
+      windows_.erase(whole);
+      found->second = 2;
+    }
+  }
+
+  /// Whether every cell of the row has a window: else some views would stand for all.
+  [[nodiscard]] bool has_windows(std::size_t row) const {
+    for (std::size_t cell = 0; cell < plan_.row_of_cell.size(); ++cell) {
+      if (plan_.row_of_cell[cell] != row) continue;
+      const bool has = std::any_of(windows_.begin(), windows_.end(),
+                                   [&](const Window& window) { return window.cell == cell; });
+      if (!has) return false;
+    }
+    return true;
+  }
+
+  void price_by_windows(std::size_t r, EnergyRow& row) {
+    std::map<std::size_t, std::vector<Window>> cells;
+    Window sum;
+    double edge_squares = 0;
+    for (const Window& window : windows_) {
+      if (plan_.row_of_cell[window.cell] != r) continue;
+      cells[window.cell].push_back(window);
+      add(window, sum);
+      edge_squares += window.error_j * window.error_j;
+      ++row.window_count;
+    }
+    bool rays_known = true;
+    for (const auto& [cell, windows] : cells)
+      for (const Window& window : windows) rays_known = rays_known && window.ray_count > 0;
+
+    std::mt19937_64 random(config_.seed + r);
+    std::normal_distribution<double> normal;
+    std::vector<double> gross, net, per_ray;
+    for (std::size_t replicate = 0; replicate < config_.replicate_count; ++replicate) {
+      Window drawn;
+      for (const auto& [cell, windows] : cells)
+        for (std::size_t k = 0; k < windows.size(); ++k) {
+          const Window& window = windows[random() % windows.size()];
+          add(window, drawn);
+          drawn.joules += normal(random) * window.error_j;
+        }
+      gross.push_back(drawn.joules / drawn.frame_count);
+      if (idle_.empty()) continue;
+      const double net_j = drawn.joules - idle_draws_w_[replicate] * drawn.length_s;
+      net.push_back(net_j / drawn.frame_count);
+      if (rays_known) per_ray.push_back(net_j / drawn.ray_count * 1e9);
+    }
+    const auto count = static_cast<double>(row.window_count);
+    const double freedom = count - static_cast<double>(cells.size());
+    // Drawing n values from n makes them a little too alike, cell by cell.
+    const double correction = freedom > 0 ? std::sqrt(count / freedom) : 1;
+    const auto estimate = [&](double value, const std::vector<double>& replicates) {
+      return around(value, *stddev(replicates) * correction, freedom);
+    };
+    row.edge_error_ratio = std::sqrt(edge_squares) / sum.joules;
+    row.gross_joules_per_frame = estimate(sum.joules / sum.frame_count, gross);
+    if (idle_.empty()) {
+      row.refused = no_idle();
+      return;
+    }
+    const double net_j = sum.joules - idle_w_ * sum.length_s;
+    row.idle_w = idle_w_;
+    row.joules_per_frame = estimate(net_j / sum.frame_count, net);
+    if (rays_known) row.nj_per_ray = estimate(net_j / sum.ray_count * 1e9, per_ray);
+    row.watts_above_idle = net_j / sum.length_s;
+    row.edp_js = row.joules_per_frame->value * plan_.mean_frame_s[r];
+  }
+
+  [[nodiscard]] std::string no_idle() const {
+    return fmt::format(
+        "what the machine draws at rest is unknown, as no idle stretch of {} or more was recorded: "
+        "nothing can be taken off, and only the gross value stands",
+        scaled(seconds(window_ns_ / 4 + 4 * curve_.update_ns()), "s"));
+  }
+
+  // -- regression
+
+  /// The updates of the counter as equations: what it rose by = frames of each row x their energy +
+  /// time x idle power. Sums by block of consecutive trials, so that blocks can be drawn again.
+  struct Equations {
+    std::size_t width = 0;                      // rows, and the idle power behind them
+    std::vector<std::vector<double>> ata, atb;  // by block
+    std::vector<double> exposure;               // frames by row
+    std::vector<std::set<std::size_t>> blocks;  // by row
+    std::size_t count = 0;
+  };
+
+  void make_equations() {
+    if (equations_) return;
+    Equations e;
+    e.width = plan_.rows.size() + 1;
+    e.exposure.resize(plan_.rows.size());
+    e.blocks.resize(plan_.rows.size());
+    const std::size_t block_count =
+        std::min(max_block_count, std::max<std::size_t>(plan_.stretches.size(), 1));
+    e.ata.assign(block_count, std::vector<double>(e.width * e.width, 0.0));
+    e.atb.assign(block_count, std::vector<double>(e.width, 0.0));
+
+    std::map<std::tuple<std::string, std::string>, std::size_t> row_of;
+    for (std::size_t r = 0; r < plan_.rows.size(); ++r)
+      row_of[{plan_.rows[r].model, plan_.rows[r].algorithm}] = r;
+    std::map<int64_t, const Trial*> trials;
+    for (const Trial& trial : run_.trials) trials[trial.id] = &trial;
+    struct Span {
+      int64_t begin_ns, end_ns;
+      std::optional<std::size_t> row;  // absent: unknown work
+      double frames_per_ns;
+      int64_t trial_id;
+    };
+    std::vector<Span> spans;
+    for (const FrameRecord& frame : run_.frames) {
+      if (frame.end_ns <= frame.begin_ns) continue;
+      Span span{frame.begin_ns, frame.end_ns, std::nullopt, 0, frame.trial_id};
+      const auto trial = trials.find(frame.trial_id);
+      if (trial != trials.end()) {
+        const auto row = row_of.find({trial->second->model, trial->second->algorithm});
+        if (row != row_of.end() && plan_.mean_frame_s[row->second] > 0) {
+          span.row = row->second;
+          // Frames that are not timed count as many as their time is worth.
+          span.frames_per_ns = frame.phase == Phase::timed
+                                   ? 1 / static_cast<double>(frame.end_ns - frame.begin_ns)
+                                   : 1e-9 / plan_.mean_frame_s[row->second];
+        }
+      }
+      spans.push_back(span);
+    }
+    std::sort(spans.begin(), spans.end(),
+              [](const Span& a, const Span& b) { return a.begin_ns < b.begin_ns; });
+    // Gaps between two frames of a trial are known to be rest, as are the idle stretches.
+    std::vector<Stretch> rest = plan_.idle;
+    for (std::size_t i = 1; i < spans.size(); ++i)
+      if (spans[i].trial_id == spans[i - 1].trial_id && spans[i].begin_ns > spans[i - 1].end_ns)
+        rest.push_back({spans[i - 1].end_ns, spans[i].begin_ns});
+    std::sort(rest.begin(), rest.end(),
+              [](const Stretch& a, const Stretch& b) { return a.begin_ns < b.begin_ns; });
+
+    const std::vector<int64_t>& t_ns = curve_.t_ns();
+    std::vector<double> frames_in(e.width, 0.0);
+    std::size_t span = 0;
+    std::size_t quiet = 0;
+    for (std::size_t i = 1; i < t_ns.size(); ++i) {
+      const int64_t begin_ns = t_ns[i - 1];
+      const int64_t end_ns = t_ns[i];
+      while (span < spans.size() && spans[span].end_ns <= begin_ns) ++span;
+      while (quiet < rest.size() && rest[quiet].end_ns <= begin_ns) ++quiet;
+      if (curve_.is_broken(i)) continue;
+      std::fill(frames_in.begin(), frames_in.end(), 0.0);
+      int64_t known_ns = 0;
+      bool foreign = false;
+      std::vector<std::size_t> used;
+      for (std::size_t k = span; k < spans.size() && spans[k].begin_ns < end_ns; ++k) {
+        const int64_t overlap_ns =
+            std::min(end_ns, spans[k].end_ns) - std::max(begin_ns, spans[k].begin_ns);
+        if (overlap_ns <= 0) continue;
+        known_ns += overlap_ns;
+        if (!spans[k].row) {
+          foreign = true;
+          break;
+        }
+        if (frames_in[*spans[k].row] == 0) used.push_back(*spans[k].row);
+        frames_in[*spans[k].row] += static_cast<double>(overlap_ns) * spans[k].frames_per_ns;
+      }
+      for (std::size_t k = quiet; k < rest.size() && rest[k].begin_ns < end_ns; ++k)
+        known_ns += std::max<int64_t>(
+            0, std::min(end_ns, rest[k].end_ns) - std::max(begin_ns, rest[k].begin_ns));
+      if (foreign || known_ns * 20 < (end_ns - begin_ns) * 19) continue;
+      const double joules = curve_.joules()[i] - curve_.joules()[i - 1];
+      frames_in.back() = seconds(end_ns - begin_ns);
+      used.push_back(e.width - 1);
+      const std::size_t block = block_at(begin_ns, block_count);
+      for (std::size_t a : used) {
+        for (std::size_t b : used) e.ata[block][a * e.width + b] += frames_in[a] * frames_in[b];
+        e.atb[block][a] += frames_in[a] * joules;
+        if (a + 1 < e.width) {
+          e.exposure[a] += frames_in[a];
+          e.blocks[a].insert(block);
+        }
+      }
+      ++e.count;
+    }
+    solve(e);
+    equations_ = std::move(e);
+  }
+
+  /// The block of the last trial that begins before t_ns.
+  [[nodiscard]] std::size_t block_at(int64_t t_ns, std::size_t block_count) const {
+    const auto after = std::partition_point(
+        plan_.stretches.begin(), plan_.stretches.end(),
+        [&](const TimedStretch& stretch) { return plan_.frames[stretch.first].begin_ns <= t_ns; });
+    const auto index = static_cast<std::size_t>(after - plan_.stretches.begin());
+    const std::size_t trial = index > 0 ? index - 1 : 0;
+    return plan_.stretches.empty() ? 0 : trial * block_count / plan_.stretches.size();
+  }
+
+  void solve(const Equations& e) {
+    const std::size_t block_count = e.ata.size();
+    const auto solve_blocks = [&](const std::vector<std::size_t>& blocks) {
+      std::vector<double> ata(e.width * e.width, 0.0);
+      std::vector<double> atb(e.width, 0.0);
+      for (std::size_t block : blocks) {
+        for (std::size_t k = 0; k < ata.size(); ++k) ata[k] += e.ata[block][k];
+        for (std::size_t k = 0; k < atb.size(); ++k) atb[k] += e.atb[block][k];
+      }
+      return non_negative_least_squares(ata, atb);
+    };
+    std::vector<std::size_t> blocks(block_count);
+    std::iota(blocks.begin(), blocks.end(), std::size_t{0});
+    solution_ = solve_blocks(blocks);
+    if (!solution_) return;
+    std::mt19937_64 random(config_.seed);
+    for (std::size_t replicate = 0; replicate < regression_replicate_count; ++replicate) {
+      for (std::size_t& block : blocks) block = random() % block_count;
+      if (auto drawn = solve_blocks(blocks)) solutions_.push_back(std::move(*drawn));
+    }
+  }
+
+  bool price_by_regression(std::size_t r, EnergyRow& row) {
+    make_equations();
+    const Equations& e = *equations_;
+    if (!solution_ || e.blocks[r].size() < 4 || solutions_.size() < regression_replicate_count / 2)
+      return false;
+    const double base_w = solution_->back();
+    double stretch_s = 0;
+    double frame_count = 0;
+    double ray_count = 0;
+    bool rays_known = true;
+    for (const TimedStretch& stretch : plan_.stretches) {
+      if (plan_.row_of_cell[stretch.cell] != r) continue;
+      stretch_s +=
+          seconds(plan_.frames[stretch.last - 1].end_ns - plan_.frames[stretch.first].begin_ns);
+      frame_count += static_cast<double>(stretch.last - stretch.first);
+      for (std::size_t i = stretch.first; i < stretch.last; ++i) {
+        rays_known = rays_known && plan_.rays[i] >= 0;
+        ray_count += plan_.rays[i];
+      }
+    }
+    const double length_s = stretch_s / frame_count;
+    std::vector<double> net, gross;
+    for (const std::vector<double>& drawn : solutions_) {
+      // A draw without this row says nothing about it.
+      if (drawn[r] == 0 && (*solution_)[r] > 0) continue;
+      net.push_back(drawn[r]);
+      gross.push_back(drawn[r] + drawn.back() * length_s);
+    }
+    if (net.size() < regression_replicate_count / 2) return false;
+    const double net_j = (*solution_)[r];
+    const double gross_j = net_j + base_w * length_s;
+    const auto block_count = static_cast<double>(e.blocks[r].size());
+    const double correction = std::sqrt(block_count / (block_count - 1));
+    const double error = *stddev(gross) * correction;
+    row.edge_error_ratio = error / gross_j;
+    if (!(*row.edge_error_ratio <= config_.max_error_ratio)) return false;
+    row.gross_joules_per_frame = around(gross_j, error, block_count - 1);
+    row.joules_per_frame = around(net_j, *stddev(net) * correction, block_count - 1);
+    if (rays_known && ray_count > 0) {
+      const double factor = 1e9 * frame_count / ray_count;
+      const Estimate& frame = *row.joules_per_frame;
+      row.nj_per_ray = Estimate{frame.value * factor,
+                                {frame.interval.low * factor, frame.interval.high * factor}};
+    }
+    row.idle_w = base_w;
+    row.watts_above_idle = net_j / length_s;
+    row.edp_js = net_j * plan_.mean_frame_s[r];
+    row.window_count = e.blocks[r].size();
+    return true;
+  }
+
+  /// Why a row has no number, and what would give it one.
+  std::string too_short(std::size_t r) {
+    double longest_s = 0;
+    for (const TimedStretch& stretch : plan_.stretches)
+      if (plan_.row_of_cell[stretch.cell] == r)
+        longest_s = std::max(longest_s, seconds(plan_.frames[stretch.last - 1].end_ns -
+                                                plan_.frames[stretch.first].begin_ns));
+    const double update_s = seconds(curve_.update_ns());
+    const double needed_s = seconds(window_ns_);
+    if (longest_s >= needed_s)
+      return "no window of timed frames lies where the counter is known: it was read too seldom, "
+             "or "
+             "was reset";
+    std::string text = fmt::format(
+        "the sensor updates every {}, and the timed frames of a trial last {}: the error would be "
+        "{:.0f} %, and telling single frames apart by regression did not give less than {:.0f} %. "
+        "Windows of at least {} are needed",
+        scaled(update_s, "s"), scaled(longest_s, "s"),
+        std::min(999.0, 100 * 2 * update_s / std::max(longest_s, 1e-9)),
+        100 * config_.max_error_ratio, scaled(needed_s, "s"));
+    if (plan_.mean_frame_s[r] > 0)
+      text += fmt::format(": {:.0f} timed frames a trial",
+                          std::ceil(needed_s / plan_.mean_frame_s[r]) + 1);
+    return text;
+  }
+
+  const RunRecord& run_;
+  const Plan& plan_;
+  const EnergyCurve& curve_;
+  const EnergyConfig& config_;
+  int64_t window_ns_ = 0;
+  std::vector<Window> windows_;
+  std::vector<IdleWindow> idle_;
+  double idle_w_ = 0;
+  std::vector<double> idle_draws_w_;  // by replicate
+  std::optional<Equations> equations_;
+  std::optional<std::vector<double>> solution_;
+  std::vector<std::vector<double>> solutions_;
+};
+
+// ---------------------------------------------------------------------------- all channels
+
+/// Which domain counts for a device, best first; those not listed say nothing about it.
+std::vector<EnergyDomain> preference(DeviceType device) {
+  using enum EnergyDomain;
+  switch (device) {
+    case DeviceType::discrete:
+      return {gpu, package, platform, other};
+    case DeviceType::integrated:
+      return {integrated_gpu, gpu, package, platform, other};
+    case DeviceType::cpu:
+      return {package, core, platform, other};
+    case DeviceType::unknown:
+      break;
+  }
+  return {gpu, integrated_gpu, package, platform, other, core};
+}
+
+struct Priced {
+  const Channel* channel = nullptr;
+  EnergyDomain domain = EnergyDomain::other;
+  bool is_power = false;
+  double joules = 0;  // over the run
+  std::vector<EnergyRow> rows;
+  std::vector<std::optional<double>> by_cell;
+};
+
+/// The channel whose numbers the report leads with.
+const Priced* primary_of(const std::vector<Priced>& priced, DeviceType device) {
+  // A discrete GPU's own power says more about it than any counter of the processor.
+  const auto place = [&](const Priced& candidate) {
+    const auto order = preference(device);
+    const auto found = std::find(order.begin(), order.end(), candidate.domain);
+    const auto domain = static_cast<int>(found - order.begin());
+    const bool power_last = candidate.is_power && device != DeviceType::discrete;
+    return std::tuple(power_last, domain, candidate.is_power, -candidate.joules);
+  };
+  const Priced* best = nullptr;
+  for (const Priced& candidate : priced)
+    if (best == nullptr || place(candidate) < place(*best)) best = &candidate;
+  return best;
+}
+
+}  // namespace
+
+std::string_view to_string(EnergyDomain domain) {
+  switch (domain) {
+    case EnergyDomain::gpu:
+      return "GPU";
+    case EnergyDomain::integrated_gpu:
+      return "integrated GPU (PP1)";
+    case EnergyDomain::package:
+      return "package (PKG)";
+    case EnergyDomain::core:
+      return "cores (PP0)";
+    case EnergyDomain::dram:
+      return "DRAM";
+    case EnergyDomain::platform:
+      return "platform (psys)";
+    case EnergyDomain::other:
+      return "other";
+  }
+  return "other";
+}
+
+EnergyDomain energy_domain(const Channel& channel) {
+  const std::string name = lower(channel.name);
+  const auto has = [&](std::string_view part) { return name.find(part) != std::string::npos; };
+  if (has("psys") || has("platform")) return EnergyDomain::platform;
+  if (has("dram") || has("vdd_ddr")) return EnergyDomain::dram;
+  if (has("uncore") || has("pp1") || has("energy-gpu")) return EnergyDomain::integrated_gpu;
+  for (const std::string_view source : {"nvml", "nvidia", "amdgpu", "radeon", "i915", "hwmon.xe",
+                                        "nouveau", "rocm", "levelzero", "igcl"})
+    if (has(source)) {
+      if (has("cpu_power") || has("soc_power")) return EnergyDomain::other;
+      if (has("socket_power") || has("apu_power")) return EnergyDomain::package;
+      return EnergyDomain::gpu;
+    }
+  if (has("vdd_gpu") || has(".gpu")) return EnergyDomain::gpu;
+  if (has("pp0") || has(".core") || has("cores") || has("energy-core")) return EnergyDomain::core;
+  if (has("package") || has("pkg") || has("socket")) return EnergyDomain::package;
+  if (has("battery") || has("vdd_in") || has("wall") || has("meter")) return EnergyDomain::platform;
+  return EnergyDomain::other;
+}
+
+EnergyReport price_energy(const RunRecord& run, std::span<const Cell> cells,
+                          std::span<const TimedFrame> frames, DeviceType device,
+                          const EnergyConfig& config) {
+  EnergyReport report;
+  report.cell_joules_per_frame.resize(cells.size());
+  if (frames.empty()) return report;
+  const Plan plan = make_plan(run, cells, frames);
+
+  std::vector<Priced> priced;
+  std::string why_none = "no energy channel was recorded";
+  std::set<EnergyDomain> counted_domains;
+  for (const bool power : {false, true}) {
+    for (const Channel& channel : run.channels) {
+      if (channel.quantity != (power ? Quantity::power : Quantity::energy)) continue;
+      const EnergyDomain domain = energy_domain(channel);
+      if (power && counted_domains.contains(domain)) continue;
+      const auto series = run.series.find(channel.id);
+      const EnergyCurve curve(channel,
+                              series == run.series.end() ? SampleSeries{} : series->second);
+      if (!curve.problem().empty()) {
+        if (!power) why_none = fmt::format("{}: {}", channel.name, curve.problem());
+        continue;
+      }
+      if (!power) counted_domains.insert(domain);
+      if (curve.break_count() > 0)
+        report.warnings.push_back(fmt::format(
+            "{} broke off {}: it was reset, read wrongly or not read for too long. Windows across "
+            "a break are left out.",
+            channel.name, counted(curve.break_count(), "time")));
+      Pricing pricing(run, plan, curve, config);
+      Priced entry;
+      entry.channel = &channel;
+      entry.domain = domain;
+      entry.is_power = power;
+      entry.joules = curve.joules().back();
+      entry.rows = pricing.rows(channel.name, domain, power);
+      entry.by_cell = pricing.by_cell(cells.size());
+      priced.push_back(std::move(entry));
+    }
+  }
+
+  const Priced* primary = primary_of(priced, device);
+  if (primary == nullptr) {
+    report.rows = plan.rows;
+    for (EnergyRow& row : report.rows) row.refused = why_none;
+    return report;
+  }
+  report.rows = primary->rows;
+  report.cell_joules_per_frame = primary->by_cell;
+  for (const Priced& entry : priced)
+    report.by_channel.insert(report.by_channel.end(), entry.rows.begin(), entry.rows.end());
+  return report;
+}
+
+}  // namespace energyprof::analysis

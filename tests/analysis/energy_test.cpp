@@ -1,0 +1,438 @@
+#include "analysis/energy.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <map>
+#include <random>
+
+#include "analysis/analyze.h"
+#include "analysis/energy_curve.h"
+#include "analysis/nnls.h"
+
+namespace energyprof::analysis {
+namespace {
+
+using testing::HasSubstr;
+using testing::StartsWith;
+
+constexpr int64_t us = 1'000;
+constexpr int64_t ms = 1'000'000;
+constexpr int64_t second = 1'000'000'000;
+
+/// A machine whose power is known at every moment, and an energy counter that looks at it.
+class Machine {
+ public:
+  explicit Machine(uint64_t seed) : random_(seed) {}
+
+  int64_t now_ns = 1'000 * second;
+  RunRecord run;
+  double idle_w = 5;
+  std::map<std::pair<std::string, std::string>, double> net_j, frame_count, ray_count;
+
+  double noise() { return normal_(random_); }
+
+  void idle(int64_t length_ns, bool recorded = true) {
+    if (recorded) run.events.push_back({now_ns, now_ns + length_ns, {}, "idle", {}, ""});
+    draw(length_ns, idle_w);
+  }
+
+  /// `frame_count` timed frames behind two of warm-up. Their power changes slowly by `unrest`.
+  void trace(const std::string& model, int64_t view, const std::string& algorithm, double watts,
+             int64_t frame_ns, std::size_t count, double unrest = 0.03) {
+    Trial trial;
+    trial.id = static_cast<int64_t>(run.trials.size()) + 1;
+    trial.model = model;
+    trial.view = view;
+    trial.algorithm = algorithm;
+    trial.begin_ns = now_ns;
+    double level = 0;
+    for (std::size_t i = 0; i < count + 2; ++i) {
+      level = 0.8 * level + 0.6 * noise();
+      FrameRecord frame;
+      frame.id = static_cast<int64_t>(run.frames.size()) + 1;
+      frame.trial_id = trial.id;
+      frame.frame = static_cast<int64_t>(i);
+      frame.phase = i < 2 ? Phase::warmup : Phase::timed;
+      frame.submit_ns = frame.begin_ns = now_ns;
+      const auto length_ns =
+          static_cast<int64_t>(static_cast<double>(frame_ns) * (1 + 0.02 * noise()));
+      frame.end_ns = now_ns + length_ns;
+      frame.ray_count = 1'000'000 + 1'000 * static_cast<int64_t>(i % 7);
+      const double power = watts * (1 + unrest * level);
+      draw(length_ns, idle_w + power);
+      if (frame.phase == Phase::timed) {
+        const std::pair key(model, algorithm);
+        net_j[key] += power * static_cast<double>(length_ns) * 1e-9;
+        frame_count[key] += 1;
+        ray_count[key] += static_cast<double>(*frame.ray_count);
+      }
+      run.frames.push_back(frame);
+    }
+    trial.end_ns = now_ns;
+    run.trials.push_back(trial);
+  }
+
+  /// A counter that is updated every `update_ns`, with jitter, and read every `poll_ns`.
+  Channel& count(const std::string& name, int64_t update_ns, int64_t poll_ns,
+                 Unit unit = Unit::microjoule, std::optional<int64_t> wrap_at = std::nullopt,
+                 double start = 0) {
+    Channel channel;
+    channel.id = static_cast<int32_t>(run.channels.size()) + 1;
+    channel.name = name;
+    channel.quantity = Quantity::energy;
+    channel.kind = Kind::cumulative;
+    channel.unit = unit;
+    channel.wrap_at = wrap_at;
+    channel.period_ns = poll_ns;
+    SampleSeries& series = run.series[channel.id];
+    int64_t updated_ns = t_ns_.front();
+    std::uniform_real_distribution<double> chance;
+    for (int64_t t_ns = t_ns_.front() + poll_ns; t_ns < t_ns_.back(); t_ns += poll_ns) {
+      while (updated_ns + update_ns <= t_ns)
+        updated_ns += update_ns + static_cast<int64_t>(0.05 * static_cast<double>(update_ns) *
+                                                       (chance(random_) - 0.5));
+      double value =
+          std::floor(start + energy_at(std::min(updated_ns, t_ns)) / unit_info(unit).to_si);
+      if (wrap_at) value = std::fmod(value, static_cast<double>(*wrap_at) + 1);
+      series.t_ns.push_back(t_ns);
+      series.value.push_back(value);
+    }
+    run.channels.push_back(channel);
+    return run.channels.back();
+  }
+
+  /// The power over the `poll_ns` before each reading.
+  Channel& measure(const std::string& name, int64_t poll_ns) {
+    Channel channel;
+    channel.id = static_cast<int32_t>(run.channels.size()) + 1;
+    channel.name = name;
+    channel.quantity = Quantity::power;
+    channel.kind = Kind::average;
+    channel.unit = Unit::milliwatt;
+    SampleSeries& series = run.series[channel.id];
+    for (int64_t t_ns = t_ns_.front() + poll_ns; t_ns < t_ns_.back(); t_ns += poll_ns) {
+      series.t_ns.push_back(t_ns);
+      series.value.push_back(std::round((energy_at(t_ns) - energy_at(t_ns - poll_ns)) /
+                                        (1e-9 * static_cast<double>(poll_ns)) * 1e3));
+    }
+    run.channels.push_back(channel);
+    return run.channels.back();
+  }
+
+  EnergyReport price(DeviceType device = DeviceType::unknown) {
+    cells = analyze(run).cells;
+    return price_energy(run, cells, timed_frames(run, cells), device);
+  }
+
+  double true_joules(const EnergyRow& row) {
+    return net_j.at({row.model, row.algorithm}) / frame_count.at({row.model, row.algorithm});
+  }
+  double true_nj_per_ray(const EnergyRow& row) {
+    return 1e9 * net_j.at({row.model, row.algorithm}) / ray_count.at({row.model, row.algorithm});
+  }
+
+  std::vector<Cell> cells;
+
+ private:
+  void draw(int64_t length_ns, double watts) {
+    if (t_ns_.empty()) {
+      t_ns_.push_back(now_ns);
+      joules_.push_back(0);
+    }
+    now_ns += length_ns;
+    t_ns_.push_back(now_ns);
+    joules_.push_back(joules_.back() + watts * static_cast<double>(length_ns) * 1e-9);
+  }
+  double energy_at(int64_t t_ns) const {
+    const auto next = std::upper_bound(t_ns_.begin() + 1, t_ns_.end() - 1, t_ns);
+    const auto i = static_cast<std::size_t>(next - t_ns_.begin());
+    const double share =
+        static_cast<double>(t_ns - t_ns_[i - 1]) / static_cast<double>(t_ns_[i] - t_ns_[i - 1]);
+    return joules_[i - 1] + share * (joules_[i] - joules_[i - 1]);
+  }
+
+  std::mt19937_64 random_;
+  std::normal_distribution<double> normal_;
+  std::vector<int64_t> t_ns_;
+  std::vector<double> joules_;
+};
+
+/// Three algorithms from two views, twice, each behind an idle stretch.
+void study(Machine& machine, int64_t frame_ns, std::size_t frame_count, bool recorded = true) {
+  machine.idle(2 * second, recorded);
+  for (int repetition = 0; repetition < 2; ++repetition)
+    for (int64_t view : {0, 1})
+      for (const auto& [algorithm, watts] : {std::pair("A", 8.0), {"B", 12.0}, {"C", 20.0}}) {
+        machine.trace("m", view, algorithm, watts + static_cast<double>(view), frame_ns,
+                      frame_count);
+        machine.idle(second / 2, recorded);
+      }
+}
+
+TEST(EnergyCurve, UndoesWrapsAndStopsAtResets) {
+  Channel channel;
+  channel.quantity = Quantity::energy;
+  channel.kind = Kind::cumulative;
+  channel.unit = Unit::millijoule;
+  channel.wrap_at = 99'999;
+  SampleSeries series;
+  // 10 mJ a millisecond; it wraps at 50 ms and is reset to 0 at 150 ms.
+  for (int64_t i = 0; i < 300; ++i) {
+    series.t_ns.push_back(i * ms);
+    series.value.push_back(i < 150 ? std::fmod(99'500.0 + 10.0 * static_cast<double>(i), 100'000.0)
+                                   : 10.0 * static_cast<double>(i - 150));
+  }
+  const EnergyCurve curve(channel, series);
+  ASSERT_EQ(curve.problem(), "");
+  EXPECT_EQ(curve.update_ns(), ms);
+  EXPECT_EQ(curve.break_count(), 1u);
+  const auto wrapped = curve.between(20 * ms, 120 * ms);
+  ASSERT_TRUE(wrapped);
+  EXPECT_NEAR(wrapped->joules, 1, 1e-9);
+  // 0.41 of an update at 10 W.
+  EXPECT_NEAR(wrapped->error_j, 10 * 1e-3 / std::sqrt(6.0), 1e-9);
+  EXPECT_FALSE(curve.between(120 * ms, 180 * ms)) << "across the reset";
+  EXPECT_NEAR(curve.between(180 * ms, 280 * ms)->joules, 1, 1e-9);
+  EXPECT_FALSE(curve.between(280 * ms, 320 * ms)) << "beyond the last reading";
+}
+
+TEST(EnergyCurve, LooksThroughRepeatedReadings) {
+  // 1 J every 100 ms, read every 7 ms: between two updates energy flows evenly.
+  Channel channel;
+  channel.quantity = Quantity::energy;
+  channel.kind = Kind::cumulative;
+  channel.unit = Unit::millijoule;
+  SampleSeries series;
+  for (int64_t t_ns = 0; t_ns < 5 * second; t_ns += 7 * ms) {
+    series.t_ns.push_back(t_ns);
+    series.value.push_back(1'000 * std::floor(static_cast<double>(t_ns / ms) / 100));
+  }
+  const EnergyCurve curve(channel, series);
+  EXPECT_NEAR(static_cast<double>(curve.update_ns()), 100e6, 5e6);
+  EXPECT_NEAR(curve.between(1'033 * ms, 3'571 * ms)->joules, 25.38, 0.15);
+}
+
+TEST(EnergyCurve, IgnoresABrokenValue) {
+  Channel channel;
+  channel.quantity = Quantity::energy;
+  channel.kind = Kind::cumulative;
+  channel.unit = Unit::microjoule;
+  channel.wrap_at = 262'143'328'850;
+  SampleSeries series;
+  for (int64_t i = 0; i < 1'000; ++i) {
+    series.t_ns.push_back(i * ms);
+    series.value.push_back(i == 500 ? 0 : 5e9 + 15'000.0 * static_cast<double>(i));
+  }
+  const EnergyCurve curve(channel, series);
+  EXPECT_EQ(curve.break_count(), 2u);
+  EXPECT_FALSE(curve.between(400 * ms, 600 * ms));
+  EXPECT_NEAR(curve.between(100 * ms, 400 * ms)->joules, 4.5, 1e-9);
+  EXPECT_NEAR(curve.between(600 * ms, 900 * ms)->joules, 4.5, 1e-9);
+}
+
+TEST(Nnls, KeepsWhatWouldBeNegativeAtZero) {
+  // Columns (1, 0), (0, 1) and b = (2, -1): x = (2, 0).
+  const std::vector<double> ata{1, 0, 0, 1};
+  EXPECT_THAT(*non_negative_least_squares(ata, std::vector{2.0, -1.0}), testing::ElementsAre(2, 0));
+  // Columns (1, 1) and (1, 2), b = (1, 3): unconstrained (-1, 2), so x = (0, 7 / 5).
+  const auto x = non_negative_least_squares(std::vector<double>{2, 3, 3, 5}, std::vector{4.0, 7.0});
+  EXPECT_EQ((*x)[0], 0);
+  EXPECT_NEAR((*x)[1], 1.4, 1e-12);
+  EXPECT_FALSE(non_negative_least_squares(std::vector<double>{1, 1, 1, 1}, std::vector{1.0, 1.0}));
+}
+
+TEST(Energy, FindsThePlantedJoules) {
+  Machine machine(1);
+  study(machine, 5 * ms, 100);
+  machine.count("rapl.package-0.energy", 976 * us, ms, Unit::microjoule, 40'000'000, 7e6);
+  const EnergyReport report = machine.price();
+  ASSERT_EQ(report.rows.size(), 3u);
+  for (const EnergyRow& row : report.rows) {
+    SCOPED_TRACE(row.algorithm);
+    EXPECT_EQ(row.refused, "");
+    EXPECT_EQ(row.method, "windows");
+    EXPECT_EQ(row.channel, "rapl.package-0.energy");
+    EXPECT_EQ(row.frame_count, 400);
+    const double truth = machine.true_joules(row);
+    EXPECT_NEAR(row.joules_per_frame->value, truth, 0.02 * truth);
+    EXPECT_NEAR(row.gross_joules_per_frame->value, truth + 5 * 0.005, 0.02 * truth);
+    EXPECT_NEAR(row.nj_per_ray->value, machine.true_nj_per_ray(row),
+                0.02 * machine.true_nj_per_ray(row));
+    EXPECT_NEAR(*row.idle_w, 5, 0.05);
+    EXPECT_NEAR(*row.edp_js, truth * 0.005, 0.03 * truth * 0.005);
+    EXPECT_NEAR(*row.watts_above_idle, truth / 0.005, 0.02 * truth / 0.005);
+    EXPECT_LT(*row.edge_error_ratio, 0.02);
+  }
+}
+
+TEST(Energy, IsGuessedToIdleBetweenTheTrialsOfARunThatDoesNotSay) {
+  Machine machine(2);
+  study(machine, 5 * ms, 100, false);
+  machine.count("rapl.package-0.energy", 976 * us, ms);
+  for (const EnergyRow& row : machine.price().rows)
+    EXPECT_NEAR(row.joules_per_frame->value, machine.true_joules(row),
+                0.02 * machine.true_joules(row));
+}
+
+TEST(Energy, WithoutRestOnlyTheGrossValueStands) {
+  Machine machine(3);
+  for (int i = 0; i < 4; ++i) machine.trace("m", 0, "A", 10, 5 * ms, 100);
+  machine.count("rapl.package-0.energy", 976 * us, ms);
+  const EnergyRow row = machine.price().rows.front();
+  EXPECT_FALSE(row.joules_per_frame);
+  EXPECT_FALSE(row.nj_per_ray);
+  EXPECT_THAT(row.refused, HasSubstr("no idle stretch"));
+  EXPECT_NEAR(row.gross_joules_per_frame->value, 0.075, 0.002);
+}
+
+TEST(Energy, TellsShortTrialsApartByRegression) {
+  // 60 trials of 64 frames of 5 ms, 0.32 s, under a sensor that is updated every 100 ms.
+  Machine machine(4);
+  machine.idle(5 * second);
+  for (int i = 0; i < 20; ++i)
+    for (const auto& [algorithm, watts] : {std::pair("A", 30.0), {"B", 60.0}, {"C", 90.0}}) {
+      machine.trace("m", 0, algorithm, watts, 5 * ms, 64);
+      machine.idle(200 * ms);
+    }
+  machine.count("nvml.gpu0.energy", 100 * ms, 20 * ms, Unit::millijoule);
+  for (const EnergyRow& row : machine.price().rows) {
+    SCOPED_TRACE(row.algorithm + ": " + row.refused);
+    ASSERT_EQ(row.method, "regression");
+    const double truth = machine.true_joules(row);
+    EXPECT_NEAR(row.joules_per_frame->value, truth, 0.05 * truth);
+    EXPECT_LE(row.joules_per_frame->interval.low, truth);
+    EXPECT_GE(row.joules_per_frame->interval.high, truth);
+  }
+}
+
+TEST(Energy, IsRefusedWithTheWindowThatWouldBeNeeded) {
+  Machine machine(5);
+  machine.idle(5 * second);
+  machine.trace("m", 0, "A", 50, 5 * ms, 64);
+  machine.idle(5 * second);
+  machine.count("nvml.gpu0.energy", 100 * ms, 20 * ms, Unit::millijoule);
+  const EnergyRow row = machine.price().rows.front();
+  EXPECT_FALSE(row.joules_per_frame);
+  EXPECT_FALSE(row.gross_joules_per_frame);
+  EXPECT_THAT(row.refused, HasSubstr("updates every 100 ms"));
+  EXPECT_THAT(row.refused, HasSubstr("Windows of at least 2.00 s are needed: 40"));
+}
+
+TEST(Energy, CountersThatStandStillAreUnsupported) {
+  Machine machine(6);
+  study(machine, 5 * ms, 50);
+  Channel& channel = machine.count("rapl.uncore.energy", ms, ms);
+  for (double& value : machine.run.series[channel.id].value) value = 12'345;
+  EnergyReport report = machine.price();
+  EXPECT_THAT(report.rows.front().refused,
+              HasSubstr("rapl.uncore.energy: it never moved: unsupported, not 0"));
+  EXPECT_FALSE(report.rows.front().joules_per_frame);
+  // With another counter, that one is used.
+  machine.count("rapl.package-0.energy", 976 * us, ms);
+  report = machine.price();
+  EXPECT_EQ(report.rows.front().channel, "rapl.package-0.energy");
+  EXPECT_TRUE(report.rows.front().joules_per_frame);
+}
+
+TEST(Energy, OfTheGpuLeadsAndOthersStandBeside) {
+  Machine machine(7);
+  study(machine, 5 * ms, 50);
+  for (const char* name : {"rapl.psys.energy", "rapl.package-0.energy", "rapl.core.energy",
+                           "rapl.uncore.energy", "rapl.dram.energy"})
+    machine.count(name, 976 * us, ms);
+  EXPECT_EQ(machine.price(DeviceType::integrated).rows.front().channel, "rapl.uncore.energy");
+  EXPECT_EQ(machine.price(DeviceType::unknown).rows.front().channel, "rapl.uncore.energy");
+  EXPECT_EQ(machine.price(DeviceType::cpu).rows.front().channel, "rapl.package-0.energy");
+  EXPECT_EQ(machine.price(DeviceType::discrete).rows.front().channel, "rapl.package-0.energy");
+  machine.count("nvml.gpu0.energy", 20 * ms, 10 * ms, Unit::millijoule);
+  EXPECT_EQ(machine.price(DeviceType::discrete).rows.front().channel, "nvml.gpu0.energy");
+  const EnergyReport report = machine.price();
+  EXPECT_EQ(report.rows.size(), 3u);
+  EXPECT_EQ(report.by_channel.size(), 18u);
+}
+
+TEST(Energy, PowerIsIntegratedWhereNothingCounts) {
+  Machine machine(8);
+  study(machine, 5 * ms, 400);
+  machine.measure("hwmon.amdgpu.PPT.power_average", 20 * ms);
+  for (const EnergyRow& row : machine.price().rows) {
+    EXPECT_EQ(row.method, "windows, power integrated");
+    EXPECT_NEAR(row.joules_per_frame->value, machine.true_joules(row),
+                0.03 * machine.true_joules(row));
+  }
+}
+
+TEST(Energy, CopesWithAnything) {
+  EXPECT_TRUE(price_energy({}, {}, {}, DeviceType::unknown).rows.empty());
+  Machine machine(9);
+  machine.trace("m", 0, "A", 10, 5 * ms, 1);
+  EXPECT_THAT(machine.price().rows.front().refused, HasSubstr("no energy channel"));
+  machine.idle(second);
+  Channel& channel = machine.count("x.energy", ms, ms);
+  channel.unit = Unit::none;
+  channel.unit_text = "erg";
+  EXPECT_THAT(machine.price().rows.front().refused, HasSubstr("'erg'"));
+  channel.unit = Unit::microjoule;
+  channel.unit_text = "uJ";
+  SampleSeries& series = machine.run.series[channel.id];
+  series.value[10] = std::nan("");
+  std::swap(series.t_ns[100], series.t_ns[200]);
+  series.t_ns[301] = series.t_ns[300];
+  machine.price();
+  series.t_ns.resize(1);
+  series.value.resize(1);
+  EXPECT_THAT(machine.price().rows.front().refused, HasSubstr("never moved"));
+}
+
+TEST(Energy, LiesWithinItsIntervalIn93OutOf100Runs) {
+  int row_count = 0;
+  int covered = 0;
+  int silent = 0;  // off by more than 5 %, and the interval does not say so
+  std::map<std::string, int> methods;
+  for (uint64_t seed = 0; seed < 240; ++seed) {
+    Machine machine(seed);
+    machine.idle_w = 3 + 0.05 * static_cast<double>(seed);
+    const bool slow_sensor = seed % 3 == 2;
+    const bool recorded = seed % 4 != 3;
+    if (slow_sensor)
+      for (int i = 0; i < 5; ++i) study(machine, 5 * ms, 60, recorded);
+    else
+      study(machine, (1 + static_cast<int64_t>(seed % 7)) * ms, 64, recorded);
+    Channel& channel = slow_sensor ? machine.count("nvml.gpu0.energy",
+                                                   (20 + 10 * static_cast<int64_t>(seed % 5)) * ms,
+                                                   10 * ms, Unit::millijoule)
+                                   : machine.count("rapl.package-0.energy", 976 * us, ms,
+                                                   Unit::microjoule, 30'000'000, 1e6);
+    SampleSeries& series = machine.run.series[channel.id];
+    if (seed % 5 == 1) {  // readings that were lost
+      const std::size_t at = series.t_ns.size() / 2;
+      const auto first = static_cast<std::ptrdiff_t>(at);
+      series.t_ns.erase(series.t_ns.begin() + first, series.t_ns.begin() + first + 60);
+      series.value.erase(series.value.begin() + first, series.value.begin() + first + 60);
+    }
+    if (seed % 5 == 2)  // a reset
+      for (std::size_t i = series.value.size() / 2; i < series.value.size(); ++i)
+        series.value[i] = std::fmod(series.value[i] + 17'000'000, 30'000'001.0);
+    for (const EnergyRow& row : machine.price().rows) {
+      if (!row.joules_per_frame) continue;
+      ++row_count;
+      ++methods[row.method];
+      const double truth = machine.true_nj_per_ray(row);
+      const Estimate& found = *row.nj_per_ray;
+      const bool inside = found.interval.low <= truth && truth <= found.interval.high;
+      covered += inside ? 1 : 0;
+      if (!inside && std::fabs(found.value / truth - 1) > 0.05) ++silent;
+    }
+  }
+  EXPECT_GT(methods["windows"], 400);
+  EXPECT_GT(methods["regression"], 150);
+  EXPECT_GE(covered, 0.93 * row_count);
+  EXPECT_EQ(silent, 0);
+}
+
+}  // namespace
+}  // namespace energyprof::analysis
