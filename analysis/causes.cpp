@@ -582,11 +582,13 @@ class Judge {
 
   std::vector<Attribution> decide() {
     // A cause that no reading speaks for is not considered; only a low clock, which is one, may be
-    // due to a reason that was missed between two polls.
+    // due to a reason that was missed between two polls. Reasons that are inferred from the clock
+    // cannot be missed where the clock was read.
     for (Case& one : cases_)
       for (std::size_t h = 0; h < nothing; ++h) {
         if (one.shown[h]) continue;
-        const bool missed = one.clock_low && (h == power || h == thermal || h == other);
+        const bool missed = throttling_.has_reason_channel && one.clock_low &&
+                            (h == power || h == thermal || h == other);
         if (!missed) one.likelihood[h] = 0;
       }
 
@@ -619,7 +621,7 @@ class Judge {
 
     std::vector<Attribution> result;
     for (std::size_t c = 0; c < cases_.size(); ++c) result.push_back(attribute(c, posterior[c]));
-    inherit(result, posterior);
+    if (throttling_.has_reason_channel) inherit(result, posterior);
     return result;
   }
 

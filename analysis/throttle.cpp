@@ -75,10 +75,10 @@ bool word_is(const std::string& part, std::initializer_list<std::string_view> wo
 /// Bits that drivers keep beside the reasons and that hold nothing back now.
 bool is_harmless(const std::string& part) {
   return word_is(part,
-                 {"idle",    "idling",    "application", "applications", "app",     "display",
-                  "hotspot", "occurred",  "occured",     "past",         "boot",    "log",
-                  "logged",  "sticky",    "history",     "ever",         "unnamed", "inefficient",
-                  "rc6",     "supported", "enabled"}) ||
+                 {"idle",    "idling",    "application", "applications", "app",       "display",
+                  "hotspot", "occurred",  "occured",     "past",         "boot",      "log",
+                  "logged",  "sticky",    "history",     "ever",         "unnamed",   "inefficient",
+                  "rc6",     "supported", "enabled",     "turbo",        "autonomous"}) ||
          has(part, "sync_boost") || has(part, "syncboost") || has(part, "clocks_setting") ||
          has(part, "clock_setting") || has(part, "clockssetting") || has(part, "low_util") ||
          has(part, "user_defined") || part == "none" || has(part, "not_throttl");
@@ -217,8 +217,8 @@ void spans_of_counter(const Channel& channel, const ChannelTrack& track, bool qu
     const Rise& rise = rises[i];
     Span span{rise.after_ns, rise.t_ns};
     if (is_time) {
-      const auto length_ns = static_cast<int64_t>(std::min(rise.amount / cpu_count, 1e6) *
-                                                  static_cast<double>(ns_per_s));
+      const int64_t length_ns =
+          std::llround(std::min(rise.amount / cpu_count, 1e6) * static_cast<double>(ns_per_s));
       span.begin_ns = rise.t_ns - std::max(length_ns, int64_t{1});
       // Time that was counted in one piece at the end reaches back beyond the reading before.
       const int64_t earliest_ns = i > 0 ? rises[i - 1].t_ns : track.t_ns().front() - length_ns;

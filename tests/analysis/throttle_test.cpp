@@ -256,8 +256,8 @@ TEST(DeviceClock, PrefersTheGpuAndLeavesOutSleepAndWishes) {
   const auto clock = device_clock(builder.run, frames);
   ASSERT_TRUE(clock);
   ASSERT_EQ(clock->channels, std::vector<std::size_t>{0});
-  EXPECT_DOUBLE_EQ(*clock->over(begin_ns + 1000 * ms, begin_ns + 2000 * ms), 1);
-  EXPECT_DOUBLE_EQ(*clock->over(begin_ns + 3100 * ms, begin_ns + 3200 * ms), 0.5);
+  EXPECT_NEAR(*clock->over(begin_ns + 1000 * ms, begin_ns + 2000 * ms), 1, 1e-12);
+  EXPECT_NEAR(*clock->over(begin_ns + 3100 * ms, begin_ns + 3200 * ms), 0.5, 1e-12);
 }
 
 }  // namespace
