@@ -189,10 +189,30 @@ double stopped_cpu_count(const std::vector<Rise>& rises) {
   return std::max(1.0, quantile(counts, 0.5));
 }
 
+/// How long each stop of a group lasted that also stopped the sampler. Between the last reading
+/// before and the first after it all its CPUs stood still; the first of them had stopped earlier by
+/// what the counter has more than that. Empty if the sampler went on.
+std::vector<double> lengths_of_own_stops(const std::vector<Rise>& rises, int64_t poll_ns) {
+  std::vector<double> gaps_s;
+  std::vector<double> counts;
+  for (const Rise& rise : rises) {
+    gaps_s.push_back(seconds_of(rise.t_ns - rise.after_ns));
+    counts.push_back(std::floor(rise.amount / gaps_s.back() + 0.1));
+  }
+  const double least_s = std::max(5 * seconds_of(poll_ns), 5e-3);
+  if (rises.empty() || quantile(gaps_s, 0.5) < least_s) return {};
+  const double cpu_count = std::max(1.0, quantile(counts, 0.5));
+  std::vector<double> lengths_s;
+  for (std::size_t i = 0; i < rises.size(); ++i)
+    lengths_s.push_back(std::max(gaps_s[i], rises[i].amount - (cpu_count - 1) * gaps_s[i]));
+  return lengths_s;
+}
+
 void spans_of_counter(const Channel& channel, const ChannelTrack& track, bool quota,
                       ThrottleSource& source) {
   std::vector<Rise> rises = rises_of(track);
   double cpu_count = 1;
+  std::vector<double> own_stops_s;
   if (quota) {
     // CPUs resume one after the other: what follows at once belongs to the same stop.
     const int64_t at_once_ns = std::max(3 * track.poll_ns(), 5 * ns_per_ms);
@@ -210,6 +230,7 @@ void spans_of_counter(const Channel& channel, const ChannelTrack& track, bool qu
     }
     rises = std::move(joined);
     cpu_count = stopped_cpu_count(rises);
+    own_stops_s = lengths_of_own_stops(rises, track.poll_ns());
   }
   const bool is_time = unit_info(channel.unit).si == "s";
   std::vector<Span> active;
@@ -217,8 +238,9 @@ void spans_of_counter(const Channel& channel, const ChannelTrack& track, bool qu
     const Rise& rise = rises[i];
     Span span{rise.after_ns, rise.t_ns};
     if (is_time) {
+      const double length_s = own_stops_s.empty() ? rise.amount / cpu_count : own_stops_s[i];
       const int64_t length_ns =
-          std::llround(std::min(rise.amount / cpu_count, 1e6) * static_cast<double>(ns_per_s));
+          std::llround(std::min(length_s, 1e6) * static_cast<double>(ns_per_s));
       span.begin_ns = rise.t_ns - std::max(length_ns, int64_t{1});
       // Time that was counted in one piece at the end reaches back beyond the reading before.
       const int64_t earliest_ns = i > 0 ? rises[i - 1].t_ns : track.t_ns().front() - length_ns;

@@ -11,6 +11,7 @@
 
 #include "accel/mesh.h"
 #include "core/gpu_layout.h"
+#include "tests/sanitized.h"
 
 namespace energyprof::test {
 
@@ -92,13 +93,6 @@ inline accel::Mesh decimated(const accel::Mesh& mesh, float cells) {
     position = box.min + cell * glm::round((position - box.min) / cell);
   return accel::weld(coarse);
 }
-
-/// AddressSanitizer is on: the full dragon would take many minutes, the decimated one must do.
-#ifdef __SANITIZE_ADDRESS__
-inline constexpr bool is_sanitized = true;
-#else
-inline constexpr bool is_sanitized = false;
-#endif
 
 /// A camera outside of `mesh` that looks at its middle.
 inline gpu::FrameConstants camera_for(const accel::Mesh& mesh, uint32_t width, uint32_t height) {

@@ -11,6 +11,7 @@
 #include "core/run_db.h"
 #include "planted_run.h"
 #include "scores.h"
+#include "tests/sanitized.h"
 
 namespace energyprof::analysis {
 namespace {
@@ -180,7 +181,8 @@ TEST(Cause, SurvivesARunThroughTheDatabase) {
 
 Scores scores_of(Options options, uint64_t first_seed, uint64_t last_seed) {
   Scores scores;
-  for (uint64_t seed = first_seed; seed <= last_seed; ++seed) {
+  const uint64_t end = first_seed + test::runs(last_seed + 1 - first_seed);
+  for (uint64_t seed = first_seed; seed < end; ++seed) {
     options.seed = seed;
     const auto made = synthetic::make_run(options);
     SCOPED_TRACE(made.description);
@@ -191,6 +193,7 @@ Scores scores_of(Options options, uint64_t first_seed, uint64_t last_seed) {
 
 TEST(Causes, AreNamedRightOver210RunsWhoseSensorsCoverThem) {
   const Scores scores = scores_of({.effects = all_effects}, 1, 210);
+  if (test::is_sanitized) GTEST_SKIP() << "three runs prove nothing";
   EXPECT_GE(scores.macro_f1(), 0.95) << scores.text();
   EXPECT_LE(scores.wrong_ratio(), 0.02) << scores.text();
   EXPECT_GE(scores.recall(), 0.97) << scores.text();
@@ -201,6 +204,7 @@ TEST(Causes, AreNamedRightOver210RunsWhoseSensorsCoverThem) {
 
 TEST(Causes, AreNamedRightWithoutAClockOver70Runs) {
   const Scores scores = scores_of({.effects = all_effects, .clock = false}, 301, 370);
+  if (test::is_sanitized) GTEST_SKIP() << "three runs prove nothing";
   EXPECT_GE(scores.macro_f1(), 0.95) << scores.text();
   EXPECT_LE(scores.wrong_ratio(), 0.02) << scores.text();
 }
@@ -208,6 +212,7 @@ TEST(Causes, AreNamedRightWithoutAClockOver70Runs) {
 /// Wrong causes, which must be rare whatever is missing, over 50 runs.
 void expect_hardly_any_wrong(const Options& options, uint64_t first_seed) {
   const Scores scores = scores_of(options, first_seed, first_seed + 49);
+  if (test::is_sanitized) return;
   EXPECT_GT(scores.hit, 100u);
   EXPECT_LE(scores.wrong_ratio(), 0.02) << scores.text();
 }
@@ -239,6 +244,7 @@ TEST(Causes, StayUnexplainedRatherThanWrongWithSlowReasonFlags) {
 
 TEST(Causes, OfNothingPlantedAreHardlyEverFound) {
   const Scores scores = scores_of({}, 801, 840);
+  if (test::is_sanitized) GTEST_SKIP() << "three runs prove nothing";
   EXPECT_LE(scores.false_alarm, 40u) << scores.text();
 }
 

@@ -12,6 +12,7 @@
 #include "analysis/analyze.h"
 #include "planted_run.h"
 #include "synthetic_run.h"
+#include "tests/sanitized.h"
 
 namespace energyprof::analysis {
 namespace {
@@ -169,7 +170,7 @@ TEST(Outliers, PlantedOnesAreFoundAndNoOthersOver240Runs) {
   Tally tally;
   std::size_t worst_missed = 0;
   std::string worst;
-  for (uint64_t seed = 1; seed <= 240; ++seed) {
+  for (uint64_t seed = 1; seed <= test::runs(240); ++seed) {
     const auto made = synthetic::make_run(
         {.seed = seed, .effects = {power, thermal, external, quota, cache, preemption, work}});
     SCOPED_TRACE(made.description);
@@ -188,6 +189,7 @@ TEST(Outliers, PlantedOnesAreFoundAndNoOthersOver240Runs) {
   }
   const auto summary = fmt::format("{} hit, {} missed, {} false; worst: {}", tally.hit,
                                    tally.missed, tally.false_alarm, worst);
+  if (test::is_sanitized) GTEST_SKIP() << "three runs prove nothing";
   RecordProperty("summary", summary);
   EXPECT_GE(tally.recall(), 0.97) << summary;
   EXPECT_GE(tally.precision(), 0.97) << summary;

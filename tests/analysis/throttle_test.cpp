@@ -165,6 +165,26 @@ TEST(Throttling, TimeCountedInOnePieceEndsWhereItIsSeen) {
   EXPECT_NEAR(static_cast<double>(spans[5].end_ns - spans[5].begin_ns), 60e6, 1e6);
 }
 
+TEST(Throttling, AStopOfTheSamplerSaysForHowLongAllCpusStood) {
+  // Two CPUs, the sampler inside the group: of 100 ms all stand still for 30 ms and one for 50 ms,
+  // so 80 ms appear with the first reading after 30 ms without any.
+  RunBuilder builder = steady_run();
+  Channel& channel =
+      builder.add_channel("cgroup.cpu.throttled", Quantity::interference, Unit::microsecond,
+                          Kind::cumulative, ms, 10'000, [](std::size_t) { return 0.0; });
+  SampleSeries& series = builder.run.series[channel.id];
+  series = {};
+  for (int64_t i = 0; i < 10'000; ++i) {
+    if (i % 100 >= 70) continue;
+    series.t_ns.push_back(begin_ns + i * ms);
+    series.value.push_back(80'000.0 * static_cast<double>(i / 100));
+  }
+  const auto& spans = throttling_of(builder.run).sources.at(0).active.spans();
+  ASSERT_EQ(spans.size(), 99u);
+  EXPECT_EQ(spans[5].end_ns, begin_ns + 600 * ms);
+  EXPECT_NEAR(static_cast<double>(spans[5].end_ns - spans[5].begin_ns), 49e6, 1.1e6);
+}
+
 TEST(Throttling, TimeCountedWhileItPassesIsWhereItPassed) {
   RunBuilder builder = steady_run();
   builder.add_channel("nvml.gpu0.violation.thermal", Quantity::throttle, Unit::nanosecond,
