@@ -31,7 +31,7 @@ std::string counter_text(const SensorSummary& sensor) {
   if (si == "J") return fmt::format("{}, {} on average", text, scaled(*sensor.mean_rate, "W"));
   if (si == "s") return fmt::format("{}, {} of the time", text, percent(*sensor.mean_rate));
   if (si == "B" || sensor.channel.unit == Unit::count)
-    return fmt::format("{}, {}", text, scaled(*sensor.mean_rate, si == "B" ? "B/s" : "per s"));
+    return fmt::format("{}, {}", text, scaled(*sensor.mean_rate, si == "B" ? "B/s" : "/s"));
   return text;
 }
 

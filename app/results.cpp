@@ -68,6 +68,8 @@ void write_all_reports(const fs::path& dir, const fs::path& file, std::FILE* to)
   if (to == nullptr) return;
   fmt::print(to, "{}\n", file.string());
   for (const fs::path& path : written) fmt::print(to, "{}\n", path.string());
+  const fs::path images = dir / "images";
+  if (fs::is_directory(images) && !fs::is_empty(images)) fmt::print(to, "{}/\n", images.string());
   print_summary(result, to);
 }
 

@@ -43,8 +43,8 @@
 
   const scaledMs = (value) => (value >= 1000 ? `${+(value / 1000).toPrecision(3)} s` : scaled(value * 1e-3, "s"));
   const percent = (ratio) => (ratio === null ? "-" : `${+(100 * ratio).toPrecision(3)} %`);
-  const estimate = ({ value, low, high }, digits = 4) => (value === null ? "-"
-    : `${value.toPrecision(digits)} (${low.toPrecision(digits)} to ${high.toPrecision(digits)})`);
+  const estimate = ({ value, low, high }, factor, unit) => (value === null ? "-"
+    : `${scaled(value * factor, unit)} (${scaled(low * factor, unit)} to ${scaled(high * factor, unit)})`);
   const plural = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
 
   // columns: {title, unit, right, header, wide, value(row), tone(row)}; value gives text or a node.
@@ -133,9 +133,9 @@
   const outlierCount = outliers.ms.length;
 
   function evidenceValue(value, unit) {
-    if (unit === "1") return `${+(100 * value).toFixed(0)} % of the time`;
+    if (unit === "1") return `${+(100 * value).toFixed(0)} %`;
     if (unit === "s/s") return `${+value.toPrecision(3)} s/s`;
-    if (unit.startsWith("count")) return `${+value.toPrecision(3)}${unit.slice(5)}`;
+    if (unit.startsWith("count")) return scaled(value, "").trim() + unit.slice(5);
     return scaled(value, unit);
   }
 
@@ -145,7 +145,7 @@
     if (seen.length === 0) return ["no evidence"];
     return seen.map(([channel, unit, value, expected]) => {
       const name = outliers.units[unit];
-      return `${outliers.channels[channel]} ${evidenceValue(value, name)}`
+      return `${outliers.channels[channel]}${name === "1" ? " set" : ""} ${evidenceValue(value, name)}${name === "1" ? " of the time" : ""}`
         + (expected === null ? "" : ` instead of ${evidenceValue(expected, name)}`);
     });
   }
@@ -210,12 +210,10 @@
     const columns = [
       { title: "Rank", right: true, value: (row) => String(row.rank) },
       { title: "Algorithm", header: true, value: (row) => named(row.algorithm) },
-      { title: "Score", unit: "ms", right: true, value: (row) => ms(row.score_ms) },
-      { title: "95 %", unit: "ms", right: true,
-        value: (row) => range(row.score_low_ms, row.score_high_ms, 3) },
-      { title: "Normalized", right: true, value: (row) => fixed(row.normalized, 3) },
-      { title: "95 %", right: true,
-        value: (row) => (row.rank === 1 ? "-" : range(row.normalized_low, row.normalized_high, 3)) },
+      { title: "Score", unit: "ms, 95 %", right: true,
+        value: (row) => `${ms(row.score_ms)} (${range(row.score_low_ms, row.score_high_ms, 3)})` },
+      { title: "Normalized", unit: "95 %", right: true, value: (row) => fixed(row.normalized, 3)
+        + (row.rank === 1 ? "" : ` (${range(row.normalized_low, row.normalized_high, 3)})`) },
       { title: "Times the best", value: (row) => bar(row, longest) },
       { title: "Net energy", unit: "per ray, 95 %", right: true,
         value: (row) => data.ranking_energy[report.ranking.indexOf(row)] },
@@ -310,23 +308,21 @@
         { title: "Mean confidence", right: true, value: (row) => fixed(row.confidence / row.count, 2) },
       ], causeRows()));
       const worst = [...outliers.ms.keys()].sort((a, b) => outliers.excess_ms[b] - outliers.excess_ms[a]);
-      const shown = worst.slice(0, 20);
+      const shown = worst.slice(0, 12);
       const cellOf = (index) => report.cells[outliers.cell[index]];
       out.append(make("h3", {}, "Those that lost most time"), table(
         worst.length > shown.length ? `${shown.length} of ${worst.length}; all are in report.json.`
           : `All ${worst.length}.`, [
           { title: "Frame", header: true, right: true, value: (i) => String(outliers.frame[i]) },
-          { title: "Model", value: (i) => cellOf(i).model },
-          { title: "View", right: true, value: (i) => String(cellOf(i).view) },
+          { title: "Model, view", value: (i) => make("span", { className: "named" }, `${cellOf(i).model}, ${cellOf(i).view}`) },
           { title: "Algorithm", value: (i) => named(cellOf(i).algorithm) },
           { title: "At", unit: "s", right: true, value: (i) => fixed(outliers.t_s[i], 3) },
           { title: "Time", unit: "ms", right: true, value: (i) => ms(outliers.ms[i]) },
           { title: "Ratio", right: true, value: (i) => fixed(outliers.ratio[i], 2) },
           { title: "Excess", unit: "ms", right: true, value: (i) => ms(outliers.excess_ms[i]) },
-          { title: "Shape", value: (i) => (outliers.is_stretch[i] ? "stretch" : "spike") },
-          { title: "Cause", value: (i) => causeNamed(outliers.cause[i]) },
-          { title: "Confidence", right: true, value: (i) => fixed(outliers.confidence[i], 2) },
-          { title: "Evidence", wide: true, value: (i) => evidenceLines(i).join("; ") },
+          { title: "Cause", unit: "confidence, shape", value: (i) => make("div", {}, causeNamed(outliers.cause[i]),
+            make("small", {}, `${fixed(outliers.confidence[i], 2)}, ${outliers.is_stretch[i] ? "stretch" : "spike"}`)) },
+          { title: "Evidence", unit: "what decided; where unexplained, what spoke against causes", value: (i) => make("div", { className: "evidence" }, ...evidenceLines(i).map((text) => make("div", {}, text))) },
         ], shown));
     }
     if (report.regimes.length > 0)
@@ -382,8 +378,8 @@
       { title: "Not throttled", right: true, value: (row) => String(row.rest) },
       { title: "Share throttled", right: true,
         value: (row) => percent(row.hit + row.rest > 0 ? row.hit / (row.hit + row.rest) : null) },
-    ], rows), note(`${oddsText} p ${p(found.p)} by circular shifts, ${p(found.p_fisher)} if frames were `
-      + `independent; q ${p(found.q)}. Of all these frames ${percent(found.exposure_ratio)} were throttled.`));
+    ], rows), note(`${oddsText} ${found.p === null ? "" : `p ${p(found.p)} by circular shifts, ${p(found.p_fisher)} if `
+      + `frames were independent; q ${p(found.q)}. `}Of all these frames ${percent(found.exposure_ratio)} were throttled.`));
   }
 
   function correlationTable(caption, rows) {
@@ -414,7 +410,9 @@
       return;
     }
     const kinds = { related: [], "not related": [], "cannot tell": [] };
-    for (const row of report.correlations) kinds[row.verdict.split(":")[0]].push(row);
+    // Without a lag a lagged row says what the row without lags says.
+    for (const row of report.correlations)
+      if (row.lag_ms !== 0) kinds[row.verdict.split(":")[0]].push(row);
     for (const rows of Object.values(kinds)) rows.sort((a, b) => strength(b) - strength(a));
     if (kinds.related.length > 0)
       out.append(correlationTable("Related to frame times or outliers, the strongest first.", kinds.related));
@@ -443,7 +441,10 @@
       out.append(note(`Explained together: ${percent(model.explained_time_ratio)} of time`
         + (model.explained_energy_ratio === null ? "." : `, ${percent(model.explained_energy_ratio)} of energy.`)));
     } else if (model.notes.length === 0) out.append(note("There are too few models, views and algorithms to tell factors apart."));
-    if (model.notes.length > 0) out.append(list(model.notes));
+    const said = (text) => model.explained_time_ratio !== null
+      && report.factors.some((row) => row.note && text.includes(row.note));
+    const notes = model.notes.filter((text) => !said(text));
+    if (notes.length > 0) out.append(list(notes));
   }
 
   function fillStructures() {
@@ -476,9 +477,9 @@
       { title: "Model", header: !withChannel, value: (row) => row.model },
       { title: "Algorithm", value: (row) => named(row.algorithm) },
       { title: "Frames", right: true, value: (row) => String(row.frames) },
-      { title: "Net", unit: "nJ per ray, 95 %", right: true, value: (row) => estimate(row.nj_per_ray) },
-      { title: "Net", unit: "J per frame, 95 %", right: true, value: (row) => estimate(row.joules_per_frame) },
-      { title: "Gross", unit: "J per frame, 95 %", right: true, value: (row) => estimate(row.gross_joules_per_frame) },
+      { title: "Net", unit: "per ray, 95 %", right: true, value: (row) => estimate(row.nj_per_ray, 1e-9, "J") },
+      { title: "Net", unit: "per frame, 95 %", right: true, value: (row) => estimate(row.joules_per_frame, 1, "J") },
+      { title: "Gross", unit: "per frame, 95 %", right: true, value: (row) => estimate(row.gross_joules_per_frame, 1, "J") },
       { title: "EDP", unit: "mJ s", right: true, value: (row) => (row.edp_js === null ? "-" : (1e3 * row.edp_js).toPrecision(3)) },
       { title: "Idle", unit: "W", right: true, value: (row) => fixed(row.idle_w, 2) },
       { title: "Above idle", unit: "W", right: true, value: (row) => fixed(row.watts_above_idle, 2) },
@@ -497,7 +498,8 @@
     if (report.energy.every((row) => row.refused))
       out.append(note(`No energy per frame is given, because ${refused.join("; ")}.`));
     else
-      out.append(note(`${data.energy_text} Dashed: what no other algorithm beats in both. Bars: 95 %.`),
+      out.append(note(`${data.energy_text} Dashed: what no other algorithm beats in both time and energy. Bars: 95 %. `
+        + `${modelsOf(paretoPoints()).map((model, i, all) => `${model}: ${shapeOf(model, all)[1]}`).join("; ")}.`),
         table("Energy of a frame and of a ray.", energyColumns(false), report.energy));
     if (report.energy_by_channel.length > report.energy.length)
       out.append(make("h3", {}, "Every energy channel"),
@@ -577,7 +579,7 @@
     const rows = [];
     for (const [group, object] of [["device", report.device], ["host", run.host || {}]])
       for (const [name, value] of Object.entries(object))
-        rows.push({ group, name, text: typeof value === "string" ? value : JSON.stringify(value) });
+        rows.push({ group, name, text: value === null ? unknown : typeof value === "string" ? value : JSON.stringify(value) });
     if (rows.length === 0) body("device").append(note("The run names neither device nor host."));
     else
       body("device").append(table("The machine, as the recorder found it.", [
@@ -943,9 +945,11 @@
   function fillScatter() {
     const select = byId("factor");
     const channels = make("optgroup", { label: "each frame, against a channel" });
-    const strongest = report.correlations.filter((row) => row.verdict.startsWith("related")).sort((a, b) => strength(b) - strength(a))[0];
+    const [strongest] = report.correlations.filter((row) => row.verdict.startsWith("related")).sort((a, b) => strength(b) - strength(a));
+    const clock = report.sensors.find((sensor) => sensor.quantity === "frequency" && sensor.updates > 0);
+    const first = strongest ? strongest.y : clock ? clock.name : "";
     data.scatter.channels.forEach((channel, i) => channels.append(make("option",
-      { value: `channel:${i}`, selected: Boolean(strongest) && channel.name === strongest.y }, channel.name)));
+      { value: `channel:${i}`, selected: channel.name === first }, channel.name)));
     const work = make("optgroup", { label: "medians, against the work of a model, view and algorithm" });
     perCell.forEach(([, title], i) => work.append(make("option", { value: `cell:${i}` }, title)));
     select.append(...[channels, work].filter((group) => group.children.length > 0));
@@ -980,15 +984,19 @@
     });
   }
 
+  const modelShapes = [["circle", "circle"], ["rect", "square"], ["triangle", "triangle"], ["diamond", "diamond"],
+    ["pin", "pin"], ["arrow", "arrow head"]];
+  const shapeOf = (model, models) => modelShapes[models.indexOf(model) % modelShapes.length];
+  const modelsOf = (all) => [...new Set(all.map((point) => point.row.model))];
+
   function drawPareto() {
     const all = paretoPoints();
     if (all.length === 0) return;
-    const models = [...new Set(all.map((point) => point.row.model))];
-    const shapes = ["circle", "rect", "triangle", "diamond", "pin", "arrow"];
+    const models = modelsOf(all);
     const series = algorithms.map((name) => ({ name, type: "scatter", symbolSize: 12, color: colorOf(name), animation: false,
       data: all.filter((point) => point.row.algorithm === name).map((point) => ({
-        value: [point.ms, point.row.nj_per_ray.value], symbol: shapes[models.indexOf(point.row.model) % shapes.length],
-        text: `${name}, ${point.row.model}: ${scaledMs(point.ms)}, ${estimate(point.row.nj_per_ray)} nJ a ray` })) }));
+        value: [point.ms, point.row.nj_per_ray.value], symbol: shapeOf(point.row.model, models)[0],
+        text: `${name}, ${point.row.model}: ${scaledMs(point.ms)}, ${estimate(point.row.nj_per_ray, 1e-9, "J")} a ray` })) }));
     const thin = { type: "line", showSymbol: false, silent: true, animation: false, color: css("--soft") };
     for (const { row, ms: at } of all)
       series.push({ ...thin, lineStyle: { width: 1.5, color: colorOf(row.algorithm) },
@@ -1063,7 +1071,7 @@
         lineStyle: { type: "dashed", width: 1.2 }, data: steps.map((n) => [n, own[0].ms * of(n) / of(least)]) });
     }
     drawInto("theory_chart", 360, plain(series.filter((each) => !each.silent).map((each) => each.name), {
-      xAxis: axis("triangles", "log"), yAxis: axis("score [ms]", "log", { nameGap: 46 }), series }));
+      xAxis: axis("triangles", "log"), yAxis: axis("score [ms]", "value", { nameGap: 46, scale: false }), series }));
   }
 
   // ---- zoom by keyboard, and a walk through the outliers
