@@ -37,11 +37,18 @@ constexpr std::size_t max_sensor_points = 40'000;
 constexpr std::size_t max_frame_points = 16'000;
 constexpr std::size_t max_evidence_outliers = 4'000;
 constexpr std::size_t max_evidence_per_outlier = 3;
-constexpr std::size_t max_bands = 1'000;
+constexpr std::size_t max_bands = 2'000;
 constexpr std::size_t max_scatter_frames = 4'000;
 constexpr std::size_t max_scatter_values = 40'000;
 constexpr std::size_t max_event_rows = 200;
 constexpr std::size_t max_regime_rows = 20;
+
+/// What is left of `most` points where many outliers, which are all kept, need room; at least a
+/// quarter.
+std::size_t room_beside_outliers(const Analysis& analysis, std::size_t most) {
+  const std::size_t taken = std::min(most, analysis.outliers.size());
+  return std::max(most - taken, most / 4);
+}
 
 std::string base64(std::string_view bytes) {
   constexpr std::string_view digits =
@@ -105,25 +112,21 @@ json outlier_columns(const RunRecord& run, const Analysis& analysis) {
   for (std::size_t i = 0; i < std::min(worst.size(), max_evidence_outliers); ++i)
     has_evidence[worst[i]] = true;
   json columns;
-  for (const char* name : {"cell", "frame", "trial", "t_s", "ms", "ratio", "excess_ms", "cause",
-                           "confidence", "probability", "is_stretch", "evidence"})
+  for (const char* name :
+       {"cell", "frame", "t_s", "ms", "excess_ms", "cause", "confidence", "is_stretch", "evidence"})
     columns[name] = json::array();
   TextTable channels;
   TextTable units;
-  const auto hundredth = [](double ratio) { return std::round(ratio * 100) / 100; };
   for (std::size_t i = 0; i < analysis.outliers.size(); ++i) {
     const Outlier& outlier = analysis.outliers[i];
     const FrameRecord& frame = run.frames[outlier.frame_index];
     columns["cell"].push_back(outlier.cell);
     columns["frame"].push_back(frame.frame);
-    columns["trial"].push_back(frame.trial_id);
     columns["t_s"].push_back(drawn_seconds(analysis, frame.begin_ns));
     columns["ms"].push_back(short_number(outlier.frame_ms));
-    columns["ratio"].push_back(hundredth(outlier.ratio));
     columns["excess_ms"].push_back(short_number(outlier.excess_ms));
     columns["cause"].push_back(static_cast<int>(outlier.attribution.cause));
-    columns["confidence"].push_back(hundredth(outlier.attribution.confidence));
-    columns["probability"].push_back(hundredth(outlier.probability));
+    columns["confidence"].push_back(std::round(outlier.attribution.confidence * 100) / 100);
     columns["is_stretch"].push_back(outlier.shape == OutlierShape::spike ? 0 : 1);
     json evidence = nullptr;
     if (has_evidence[i]) {
@@ -149,8 +152,9 @@ json frame_points(const RunRecord& run, const Analysis& analysis) {
   std::unordered_map<std::size_t, std::size_t> outlier_of;
   for (std::size_t i = 0; i < analysis.outliers.size(); ++i)
     outlier_of.emplace(analysis.outliers[i].frame_index, i);
-  const std::size_t limit = std::max<std::size_t>(
-      100, max_frame_points / std::max<std::size_t>(1, analysis.cells.size()));
+  const std::size_t limit =
+      std::max<std::size_t>(100, room_beside_outliers(analysis, max_frame_points) /
+                                     std::max<std::size_t>(1, analysis.cells.size()));
   for (const Cell& cell : analysis.cells) {
     std::vector<int64_t> begin_ns;
     std::vector<std::size_t> slow;
@@ -179,30 +183,49 @@ json frame_points(const RunRecord& run, const Analysis& analysis) {
   return cells;
 }
 
-/// When each source held frames back: [begin, end] in seconds. Spans closer together than can be
-/// drawn are joined.
+/// `spans` with the shortest gaps between them closed, so that at most `most` are left; the longest
+/// gap that was closed.
+std::pair<std::vector<Span>, int64_t> join_spans(const std::vector<Span>& spans, std::size_t most) {
+  if (spans.size() <= most) return {spans, 0};
+  std::vector<int64_t> gaps_ns;
+  for (std::size_t i = 1; i < spans.size(); ++i)
+    gaps_ns.push_back(spans[i].begin_ns - spans[i - 1].end_ns);
+  const auto closed = gaps_ns.begin() + static_cast<std::ptrdiff_t>(gaps_ns.size() - most);
+  std::nth_element(gaps_ns.begin(), closed, gaps_ns.end());
+  std::vector<Span> joined{spans.front()};
+  for (std::size_t i = 1; i < spans.size(); ++i)
+    if (spans[i].begin_ns - joined.back().end_ns <= *closed)
+      joined.back().end_ns = spans[i].end_ns;
+    else
+      joined.push_back(spans[i]);
+  return {std::move(joined), *closed};
+}
+
+/// When frames were held back, by class: [begin, end] in seconds, all sources of a class together.
 json throttle_bands(const RunRecord& run, const Analysis& analysis) {
+  struct Band {
+    std::vector<Span> spans;
+    json channels = json::array();
+  };
+  std::map<std::pair<std::string_view, bool>, Band> classes;
+  for (const ThrottleSource& source : analysis.throttling.sources) {
+    if (source.active.spans().empty()) continue;
+    Band& band = classes[{to_string(source.reason), source.inferred}];
+    band.spans.insert(band.spans.end(), source.active.spans().begin(), source.active.spans().end());
+    band.channels.push_back(run.channels[source.channel].name);
+  }
   json bands = json::array();
-  const auto& sources = analysis.throttling.sources;
-  const int64_t duration_ns = std::max<int64_t>(1, analysis.run.end_ns - analysis.run.begin_ns);
-  const int64_t least_gap_ns =
-      duration_ns * static_cast<int64_t>(sources.size()) / static_cast<int64_t>(max_bands);
-  for (const ThrottleSource& source : sources) {
-    std::vector<Span> joined;
-    for (const Span& span : source.active.spans()) {
-      if (!joined.empty() && span.begin_ns - joined.back().end_ns < least_gap_ns)
-        joined.back().end_ns = span.end_ns;
-      else
-        joined.push_back(span);
-    }
-    if (joined.empty()) continue;
+  for (auto& [key, band] : classes) {
+    const auto [joined, closed_ns] =
+        join_spans(SpanSet(std::move(band.spans)).spans(), max_bands / classes.size());
     json spans = json::array();
     for (const Span& span : joined)
       spans.push_back(
           {drawn_seconds(analysis, span.begin_ns), drawn_seconds(analysis, span.end_ns)});
-    bands.push_back({{"channel", run.channels[source.channel].name},
-                     {"class", to_string(source.reason)},
-                     {"inferred", source.inferred},
+    bands.push_back({{"channels", std::move(band.channels)},
+                     {"class", key.first},
+                     {"inferred", key.second},
+                     {"closed", closed_ns > 0 ? json(duration_text(closed_ns)) : json(nullptr)},
                      {"spans", std::move(spans)}});
   }
   return bands;
@@ -252,7 +275,8 @@ json scatter(const RunRecord& run, const Analysis& analysis) {
   const auto usable_count =
       static_cast<std::size_t>(std::count_if(signals.begin(), signals.end(), usable));
   const std::size_t limit = std::clamp<std::size_t>(
-      max_scatter_values / std::max<std::size_t>(1, usable_count), 200, max_scatter_frames);
+      room_beside_outliers(analysis, max_scatter_values) / std::max<std::size_t>(1, usable_count),
+      200, max_scatter_frames);
   const std::vector<std::size_t> kept = scatter_frames(analysis, frames, outlier_of, limit);
   json result{{"cell", json::array()},
               {"ms", json::array()},
@@ -326,8 +350,10 @@ json curve_json(const Analysis& analysis, const Channel& channel, const Curve& c
 
 /// Sensor tracks, one per title and unit, and the names of the channels that are not drawn.
 std::pair<json, json> sensor_tracks(const RunRecord& run, const Analysis& analysis) {
-  const std::size_t limit = std::clamp<std::size_t>(
-      max_sensor_points / std::max<std::size_t>(1, run.series.size()), 100, max_points_per_channel);
+  const std::size_t limit =
+      std::clamp<std::size_t>(room_beside_outliers(analysis, max_sensor_points) /
+                                  std::max<std::size_t>(1, run.series.size()),
+                              100, max_points_per_channel);
   std::map<std::tuple<Quantity, std::string, std::string>, json> tracks;
   json constant = json::array();
   json too_short = json::array();

@@ -131,6 +131,7 @@
 
   const outliers = data.outliers;
   const outlierCount = outliers.ms.length;
+  const ratioOf = (index) => +(outliers.ms[index] / (outliers.ms[index] - outliers.excess_ms[index])).toFixed(2);
 
   function evidenceValue(value, unit) {
     if (unit === "1") return `${+(100 * value).toFixed(0)} %`;
@@ -154,7 +155,7 @@
     const cell = report.cells[outliers.cell[index]];
     return `Outlier ${index + 1} of ${outlierCount}, at ${outliers.t_s[index].toFixed(3)} s: ${cell.algorithm}, `
       + `${cell.model}, view ${cell.view}, frame ${outliers.frame[index]}, ${scaledMs(outliers.ms[index])}, `
-      + `${outliers.ratio[index]} times its fast regime. Cause: ${data.causes[outliers.cause[index]]}, `
+      + `${ratioOf(index)} times its fast regime. Cause: ${data.causes[outliers.cause[index]]}, `
       + `confidence ${outliers.confidence[index]}. Evidence: ${evidenceLines(index).join("; ")}.`;
   }
 
@@ -318,7 +319,7 @@
           { title: "Algorithm", value: (i) => named(cellOf(i).algorithm) },
           { title: "At", unit: "s", right: true, value: (i) => fixed(outliers.t_s[i], 3) },
           { title: "Time", unit: "ms", right: true, value: (i) => ms(outliers.ms[i]) },
-          { title: "Ratio", right: true, value: (i) => fixed(outliers.ratio[i], 2) },
+          { title: "Ratio", right: true, value: (i) => fixed(ratioOf(i), 2) },
           { title: "Excess", unit: "ms", right: true, value: (i) => ms(outliers.excess_ms[i]) },
           { title: "Cause", unit: "confidence, shape", value: (i) => make("div", {}, causeNamed(outliers.cause[i]),
             make("small", {}, `${fixed(outliers.confidence[i], 2)}, ${outliers.is_stretch[i] ? "stretch" : "spike"}`)) },
@@ -691,7 +692,7 @@
         line(`frame ${point[2]}`, scaledMs(point[1])));
       const index = point[3];
       if (index !== undefined) {
-        const rows = [line("outlier", `${outliers.ratio[index]} times its fast regime`),
+        const rows = [line("outlier", `${ratioOf(index)} times its fast regime`),
           line("cause", data.causes[outliers.cause[index]]),
           line("confidence", String(outliers.confidence[index])),
           ...evidenceLines(index).map((text, i) => line(i === 0 ? "evidence" : "", text))];
@@ -699,7 +700,7 @@
       }
     }
     for (const band of activeBands(t))
-      box.append(line(`throttled: ${band.class}${band.inferred ? ", inferred" : ""}`, band.channel));
+      box.append(line(bandName(band), band.channels.slice(0, 3).join(", ")));
     for (const track of data.tracks) {
       box.append(make("b", {}, `${track.title} [${track.unit}]`));
       for (const channel of track.channels.slice(0, 6)) {
@@ -719,19 +720,16 @@
   }
 
   const bandName = (band) => `throttled: ${band.class}${band.inferred ? " (inferred)" : ""}`;
-  const bandNames = [...new Set(data.bands.map(bandName))];
   const shownCauses = () => data.causes.map((name, cause) => cause)
     .filter((cause) => outliers.cause.some((each, i) => each === cause && isShown(report.cells[outliers.cell[i]])));
 
-  function bandSeries(name) {
-    const bands = data.bands.filter((band) => bandName(band) === name);
-    const inferred = bands[0].inferred;
-    const color = bandColor(bands[0].class);
-    return { name, type: "line", xAxisIndex: 0, yAxisIndex: 0, data: [], color, animation: false,
+  function bandSeries(band) {
+    const color = bandColor(band.class);
+    return { name: bandName(band), type: "line", xAxisIndex: 0, yAxisIndex: 0, data: [], color, animation: false,
       markArea: { silent: true, animation: false,
-        itemStyle: { color, opacity: inferred ? 0.1 : 0.2, borderColor: color, borderWidth: inferred ? 1 : 0,
+        itemStyle: { color, opacity: band.inferred ? 0.1 : 0.2, borderColor: color, borderWidth: band.inferred ? 1 : 0,
           borderType: "dashed" },
-        data: bands.flatMap((band) => band.spans.map(([begin, end]) => [{ xAxis: begin }, { xAxis: end }])) } };
+        data: band.spans.map(([begin, end]) => [{ xAxis: begin }, { xAxis: end }]) } };
   }
 
   function causeSeries(cause) {
@@ -755,7 +753,7 @@
         showSymbol: !dense, symbol: "circle", symbolSize: 3, lineStyle: { width: 1 },
         color: colorOf(cell.algorithm), emphasis: { disabled: true }, animation: false });
     });
-    return [...bandNames.map(bandSeries), ...lines, ...shownCauses().map(causeSeries)];
+    return [...data.bands.map(bandSeries), ...lines, ...shownCauses().map(causeSeries)];
   }
 
   function trackSeries(track, axis) {
@@ -800,7 +798,7 @@
       inactiveColor: css("--line"), selectedMode: "multiple",
       data: hasFrames && index === 0
         ? [...algorithms, ...shownCauses().map((cause) => ({ name: data.causes[cause], icon: causeSymbols[cause] })),
-          ...bandNames.map((name) => ({ name, icon: "rect" }))]
+          ...data.bands.map((band) => ({ name: bandName(band), icon: "rect" }))]
         : tracks[index - first].channels.map((channel) => channel.name),
       formatter: cut,
     });
@@ -1139,13 +1137,15 @@
     byId("frame_controls").hidden = !hasFrames;
     byId("zoom_controls").hidden = !hasFrames && data.tracks.length === 0;
     select.addEventListener("change", () => { place = select.value; drawTime(); });
-    byId("logarithmic").checked = outliers.ratio.some((ratio) => ratio > 10);
+    byId("logarithmic").checked = outliers.ms.some((value, i) => ratioOf(i) > 10);
     byId("logarithmic").addEventListener("change", drawTime);
 
     const notes = body("time");
     if (!hasFrames && data.tracks.length === 0) notes.append(note("There is nothing to draw."));
     else notes.append(note("Drag the slider, use the buttons, or hold Ctrl and turn the wheel, to zoom; the magnifier above the chart zooms into a stretch that is drawn with the mouse. All tracks follow."));
     if (outlierCount > 0) notes.append(note("Marks are outliers, their colour and shape the cause; bands are throttling, dashed where it was inferred from the clock."));
+    for (const band of data.bands)
+      if (band.closed !== null) notes.append(note(`${bandName(band)}: gaps up to ${band.closed} are closed in the drawing; the track shows them.`));
     for (const text of new Set(data.tracks.map((track) => track.note).filter(Boolean))) notes.append(note(text));
     if (data.not_drawn.constant.length > 0)
       notes.append(note(`Not drawn, as they never changed: ${data.not_drawn.constant.join(", ")}.`));
