@@ -35,7 +35,7 @@ constexpr std::size_t max_page_bytes = 3'000'000;
 constexpr std::size_t max_points_per_channel = 2'000;
 constexpr std::size_t max_sensor_points = 40'000;
 constexpr std::size_t max_frame_points = 16'000;
-constexpr std::size_t max_evidence_outliers = 4'000;
+constexpr std::size_t max_evidence_outliers = 3'000;
 constexpr std::size_t max_evidence_per_outlier = 3;
 constexpr std::size_t max_bands = 2'000;
 constexpr std::size_t max_scatter_frames = 4'000;
@@ -105,15 +105,15 @@ std::vector<std::size_t> worst_outliers(const Analysis& analysis) {
 }
 
 /// Every outlier, as columns. Evidence: [channel, unit, value, expected or null] each, of those
-/// that lost most time; the others have null.
+/// that lost most time; the others have 0.
 json outlier_columns(const RunRecord& run, const Analysis& analysis) {
   std::vector<bool> has_evidence(analysis.outliers.size(), false);
   const std::vector<std::size_t> worst = worst_outliers(analysis);
   for (std::size_t i = 0; i < std::min(worst.size(), max_evidence_outliers); ++i)
     has_evidence[worst[i]] = true;
   json columns;
-  for (const char* name :
-       {"cell", "frame", "t_s", "ms", "excess_ms", "cause", "confidence", "is_stretch", "evidence"})
+  for (const char* name : {"cell", "frame", "t_s", "ms", "excess_ms", "cause", "confidence_pct",
+                           "is_stretch", "evidence"})
     columns[name] = json::array();
   TextTable channels;
   TextTable units;
@@ -126,9 +126,9 @@ json outlier_columns(const RunRecord& run, const Analysis& analysis) {
     columns["ms"].push_back(short_number(outlier.frame_ms));
     columns["excess_ms"].push_back(short_number(outlier.excess_ms));
     columns["cause"].push_back(static_cast<int>(outlier.attribution.cause));
-    columns["confidence"].push_back(std::round(outlier.attribution.confidence * 100) / 100);
+    columns["confidence_pct"].push_back(std::lround(outlier.attribution.confidence * 100));
     columns["is_stretch"].push_back(outlier.shape == OutlierShape::spike ? 0 : 1);
-    json evidence = nullptr;
+    json evidence = 0;
     if (has_evidence[i]) {
       evidence = json::array();
       for (const Evidence& seen : outlier.attribution.evidence) {

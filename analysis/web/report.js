@@ -133,6 +133,8 @@
   const outlierCount = outliers.ms.length;
   const ratioOf = (index) => +(outliers.ms[index] / (outliers.ms[index] - outliers.excess_ms[index])).toFixed(2);
 
+  const confidence = (index) => (outliers.confidence_pct[index] / 100).toFixed(2);
+
   function evidenceValue(value, unit) {
     if (unit === "1") return `${+(100 * value).toFixed(0)} %`;
     if (unit === "s/s") return `${+value.toPrecision(3)} s/s`;
@@ -142,7 +144,7 @@
 
   function evidenceLines(index) {
     const seen = outliers.evidence[index];
-    if (seen === null) return ["evidence is in report.json"];
+    if (seen === 0) return ["evidence is in report.json"];
     if (seen.length === 0) return ["no evidence"];
     return seen.map(([channel, unit, value, expected]) => {
       const name = outliers.units[unit];
@@ -156,7 +158,7 @@
     return `Outlier ${index + 1} of ${outlierCount}, at ${outliers.t_s[index].toFixed(3)} s: ${cell.algorithm}, `
       + `${cell.model}, view ${cell.view}, frame ${outliers.frame[index]}, ${scaledMs(outliers.ms[index])}, `
       + `${ratioOf(index)} times its fast regime. Cause: ${data.causes[outliers.cause[index]]}, `
-      + `confidence ${outliers.confidence[index]}. Evidence: ${evidenceLines(index).join("; ")}.`;
+      + `confidence ${confidence(index)}. Evidence: ${evidenceLines(index).join("; ")}.`;
   }
 
   // ---- top of the page
@@ -289,7 +291,7 @@
       const row = rows[outliers.cause[i]];
       row.count += 1;
       row.excess += outliers.excess_ms[i];
-      row.confidence += outliers.confidence[i];
+      row.confidence += outliers.confidence_pct[i] / 100;
     }
     return rows.filter((row) => row.count > 0).sort((a, b) => b.excess - a.excess);
   }
@@ -322,7 +324,7 @@
           { title: "Ratio", right: true, value: (i) => fixed(ratioOf(i), 2) },
           { title: "Excess", unit: "ms", right: true, value: (i) => ms(outliers.excess_ms[i]) },
           { title: "Cause", unit: "confidence, shape", value: (i) => make("div", {}, causeNamed(outliers.cause[i]),
-            make("small", {}, `${fixed(outliers.confidence[i], 2)}, ${outliers.is_stretch[i] ? "stretch" : "spike"}`)) },
+            make("small", {}, `${confidence(i)}, ${outliers.is_stretch[i] ? "stretch" : "spike"}`)) },
           { title: "Evidence", unit: "what decided; where unexplained, what spoke against causes", value: (i) => make("div", { className: "evidence" }, ...evidenceLines(i).map((text) => make("div", {}, text))) },
         ], shown));
     }
@@ -694,7 +696,7 @@
       if (index !== undefined) {
         const rows = [line("outlier", `${ratioOf(index)} times its fast regime`),
           line("cause", data.causes[outliers.cause[index]]),
-          line("confidence", String(outliers.confidence[index])),
+          line("confidence", confidence(index)),
           ...evidenceLines(index).map((text, i) => line(i === 0 ? "evidence" : "", text))];
         box.append(make("section", { className: "cause" }, ...rows));
       }
