@@ -3,14 +3,19 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cctype>
 #include <cmath>
+#include <iterator>
 #include <map>
+#include <numeric>
 #include <string_view>
 #include <tuple>
-#include <unordered_set>
+#include <unordered_map>
 #include <utility>
 
 #include "analysis/format.h"
+#include "analysis/frame_table.h"
+#include "analysis/relations.h"
 #include "analysis/report_json.h"
 #include "analysis/report_text.h"
 #include "analysis/series.h"
@@ -25,10 +30,25 @@ namespace {
 
 using nlohmann::json;
 
+// What keeps the page below 3 MB; images take what the rest leaves.
+constexpr std::size_t max_page_bytes = 3'000'000;
 constexpr std::size_t max_points_per_channel = 2'000;
-constexpr std::size_t max_sensor_points = 120'000;
-constexpr std::size_t max_frame_points = 40'000;
-constexpr std::size_t max_image_bytes = 3 * 1024 * 1024;
+constexpr std::size_t max_sensor_points = 40'000;
+constexpr std::size_t max_frame_points = 16'000;
+constexpr std::size_t max_evidence_outliers = 3'000;
+constexpr std::size_t max_evidence_per_outlier = 3;
+constexpr std::size_t max_bands = 2'000;
+constexpr std::size_t max_scatter_frames = 4'000;
+constexpr std::size_t max_scatter_values = 40'000;
+constexpr std::size_t max_event_rows = 200;
+constexpr std::size_t max_regime_rows = 20;
+
+/// What is left of `most` points where many outliers, which are all kept, need room; at least a
+/// quarter.
+std::size_t room_beside_outliers(const Analysis& analysis, std::size_t most) {
+  const std::size_t taken = std::min(most, analysis.outliers.size());
+  return std::max(most - taken, most / 4);
+}
 
 std::string base64(std::string_view bytes) {
   constexpr std::string_view digits =
@@ -53,34 +73,235 @@ double short_number(double value) {
   return std::isfinite(scale) ? std::round(value * scale) / scale : value;
 }
 
-/// Seconds since the begin of the run, to the microsecond.
-double seconds(const Analysis& analysis, int64_t t_ns) {
-  return std::round(static_cast<double>(t_ns - analysis.run.begin_ns) * 1e-3) * 1e-6;
+/// Seconds since the begin of the run, to a hundredth of a millisecond: finer than a pixel, and
+/// short as text.
+double drawn_seconds(const Analysis& analysis, int64_t t_ns) {
+  return std::round(static_cast<double>(t_ns - analysis.run.begin_ns) * 1e-4) * 1e-5;
 }
 
-/// Per cell the points [seconds, ms, frame, is outlier], null between two trials.
+/// A number that names each different text once.
+class TextTable {
+ public:
+  std::size_t index(const std::string& text) {
+    const auto [found, is_new] = indices_.emplace(text, texts_.size());
+    if (is_new) texts_.push_back(text);
+    return found->second;
+  }
+  json take() { return std::move(texts_); }
+
+ private:
+  std::unordered_map<std::string, std::size_t> indices_;
+  json texts_ = json::array();
+};
+
+/// The outliers that lost most time first, as indices into Analysis::outliers.
+std::vector<std::size_t> worst_outliers(const Analysis& analysis) {
+  std::vector<std::size_t> order(analysis.outliers.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+    return analysis.outliers[a].excess_ms > analysis.outliers[b].excess_ms;
+  });
+  return order;
+}
+
+/// Every outlier, as columns. Evidence: [channel, unit, value, expected or null] each, of those
+/// that lost most time; the others have 0.
+json outlier_columns(const RunRecord& run, const Analysis& analysis) {
+  std::vector<bool> has_evidence(analysis.outliers.size(), false);
+  const std::vector<std::size_t> worst = worst_outliers(analysis);
+  for (std::size_t i = 0; i < std::min(worst.size(), max_evidence_outliers); ++i)
+    has_evidence[worst[i]] = true;
+  json columns;
+  for (const char* name : {"cell", "frame", "t_s", "ms", "excess_ms", "cause", "confidence_pct",
+                           "is_stretch", "evidence"})
+    columns[name] = json::array();
+  TextTable channels;
+  TextTable units;
+  for (std::size_t i = 0; i < analysis.outliers.size(); ++i) {
+    const Outlier& outlier = analysis.outliers[i];
+    const FrameRecord& frame = run.frames[outlier.frame_index];
+    columns["cell"].push_back(outlier.cell);
+    columns["frame"].push_back(frame.frame);
+    columns["t_s"].push_back(drawn_seconds(analysis, frame.begin_ns));
+    columns["ms"].push_back(short_number(outlier.frame_ms));
+    columns["excess_ms"].push_back(short_number(outlier.excess_ms));
+    columns["cause"].push_back(static_cast<int>(outlier.attribution.cause));
+    columns["confidence_pct"].push_back(std::lround(outlier.attribution.confidence * 100));
+    columns["is_stretch"].push_back(outlier.shape == OutlierShape::spike ? 0 : 1);
+    json evidence = 0;
+    if (has_evidence[i]) {
+      evidence = json::array();
+      for (const Evidence& seen : outlier.attribution.evidence) {
+        if (evidence.size() == max_evidence_per_outlier) break;
+        evidence.push_back({channels.index(seen.channel), units.index(seen.unit),
+                            short_number(seen.value),
+                            seen.expected ? json(short_number(*seen.expected)) : json(nullptr)});
+      }
+    }
+    columns["evidence"].push_back(std::move(evidence));
+  }
+  columns["channels"] = channels.take();
+  columns["units"] = units.take();
+  return columns;
+}
+
+/// Per cell its points in time order: [seconds, ms, frame] of a frame, the number of an outlier,
+/// and null between two trials. Thinned, but for the outliers.
 json frame_points(const RunRecord& run, const Analysis& analysis) {
   json cells = json::array();
-  std::unordered_set<std::size_t> outliers;
-  for (const Outlier& outlier : analysis.outliers) outliers.insert(outlier.frame_index);
-  const std::size_t limit = std::max<std::size_t>(
-      200, max_frame_points / std::max<std::size_t>(1, analysis.cells.size()));
+  std::unordered_map<std::size_t, std::size_t> outlier_of;
+  for (std::size_t i = 0; i < analysis.outliers.size(); ++i)
+    outlier_of.emplace(analysis.outliers[i].frame_index, i);
+  const std::size_t limit =
+      std::max<std::size_t>(100, room_beside_outliers(analysis, max_frame_points) /
+                                     std::max<std::size_t>(1, analysis.cells.size()));
   for (const Cell& cell : analysis.cells) {
     std::vector<int64_t> begin_ns;
-    for (std::size_t i : cell.frame_index) begin_ns.push_back(run.frames[i].begin_ns);
+    std::vector<std::size_t> slow;
+    for (std::size_t i = 0; i < cell.frame_index.size(); ++i) {
+      begin_ns.push_back(run.frames[cell.frame_index[i]].begin_ns);
+      if (outlier_of.contains(cell.frame_index[i])) slow.push_back(i);
+    }
+    const std::vector<std::size_t> thinned = thin_points(begin_ns, cell.frame_ms, limit);
+    std::vector<std::size_t> kept;
+    std::set_union(thinned.begin(), thinned.end(), slow.begin(), slow.end(),
+                   std::back_inserter(kept));
     json points = json::array();
     std::optional<int64_t> trial_id;
-    for (std::size_t i : thin_points(begin_ns, cell.frame_ms, limit)) {
+    for (const std::size_t i : kept) {
       const FrameRecord& frame = run.frames[cell.frame_index[i]];
       if (trial_id && *trial_id != frame.trial_id) points.push_back(nullptr);
       trial_id = frame.trial_id;
-      const bool outlier = outliers.contains(cell.frame_index[i]);
-      points.push_back({seconds(analysis, frame.begin_ns), short_number(cell.frame_ms[i]),
-                        frame.frame, outlier ? 1 : 0});
+      if (const auto outlier = outlier_of.find(cell.frame_index[i]); outlier != outlier_of.end())
+        points.push_back(outlier->second);
+      else
+        points.push_back(
+            {drawn_seconds(analysis, frame.begin_ns), short_number(cell.frame_ms[i]), frame.frame});
     }
     cells.push_back(std::move(points));
   }
   return cells;
+}
+
+/// `spans` with the shortest gaps between them closed, so that at most `most` are left; the longest
+/// gap that was closed.
+std::pair<std::vector<Span>, int64_t> join_spans(const std::vector<Span>& spans, std::size_t most) {
+  if (spans.size() <= most) return {spans, 0};
+  std::vector<int64_t> gaps_ns;
+  for (std::size_t i = 1; i < spans.size(); ++i)
+    gaps_ns.push_back(spans[i].begin_ns - spans[i - 1].end_ns);
+  const auto closed = gaps_ns.begin() + static_cast<std::ptrdiff_t>(gaps_ns.size() - most);
+  std::nth_element(gaps_ns.begin(), closed, gaps_ns.end());
+  std::vector<Span> joined{spans.front()};
+  for (std::size_t i = 1; i < spans.size(); ++i)
+    if (spans[i].begin_ns - joined.back().end_ns <= *closed)
+      joined.back().end_ns = spans[i].end_ns;
+    else
+      joined.push_back(spans[i]);
+  return {std::move(joined), *closed};
+}
+
+/// When frames were held back, by class: [begin, end] in seconds, all sources of a class together.
+json throttle_bands(const RunRecord& run, const Analysis& analysis) {
+  struct Band {
+    std::vector<Span> spans;
+    json channels = json::array();
+  };
+  std::map<std::pair<std::string_view, bool>, Band> classes;
+  for (const ThrottleSource& source : analysis.throttling.sources) {
+    if (source.active.spans().empty()) continue;
+    Band& band = classes[{to_string(source.reason), source.inferred}];
+    band.spans.insert(band.spans.end(), source.active.spans().begin(), source.active.spans().end());
+    band.channels.push_back(run.channels[source.channel].name);
+  }
+  json bands = json::array();
+  for (auto& [key, band] : classes) {
+    const auto [joined, closed_ns] =
+        join_spans(SpanSet(std::move(band.spans)).spans(), max_bands / classes.size());
+    json spans = json::array();
+    for (const Span& span : joined)
+      spans.push_back(
+          {drawn_seconds(analysis, span.begin_ns), drawn_seconds(analysis, span.end_ns)});
+    bands.push_back({{"channels", std::move(band.channels)},
+                     {"class", key.first},
+                     {"inferred", key.second},
+                     {"closed", closed_ns > 0 ? json(duration_text(closed_ns)) : json(nullptr)},
+                     {"spans", std::move(spans)}});
+  }
+  return bands;
+}
+
+/// What channel_signals() gives for the channel, on its axis.
+AxisUnit signal_axis(const Channel& channel) {
+  if (channel.kind == Kind::flag) return {"share of the frame", 1};
+  std::string si(unit_info(channel.unit).si);
+  if (channel.unit == Unit::none) si = stored_unit(channel);
+  if (channel.kind == Kind::cumulative) return axis_unit(si == "J" ? "W" : si + "/s");
+  return axis_unit(si);
+}
+
+/// Which frames stand for all: at most `limit`, half of them outliers, those that lost most time.
+std::vector<std::size_t> scatter_frames(
+    const Analysis& analysis, const std::vector<TimedFrame>& frames,
+    const std::unordered_map<std::size_t, std::size_t>& outlier_of, std::size_t limit) {
+  std::vector<bool> chosen(analysis.outliers.size(), false);
+  const std::vector<std::size_t> worst = worst_outliers(analysis);
+  const std::size_t slow_count = std::min(worst.size(), limit / 2);
+  for (std::size_t i = 0; i < slow_count; ++i) chosen[worst[i]] = true;
+  const std::size_t normal_count = frames.size() - std::min(frames.size(), worst.size());
+  const std::size_t stride = normal_count / std::max<std::size_t>(1, limit - slow_count) + 1;
+  std::vector<std::size_t> kept;
+  std::size_t normal = 0;
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    const auto outlier = outlier_of.find(frames[i].frame_index);
+    if (outlier != outlier_of.end() ? chosen[outlier->second] : normal++ % stride == 0)
+      kept.push_back(i);
+  }
+  return kept;
+}
+
+/// Frame time beside what each channel said meanwhile, as columns.
+json scatter(const RunRecord& run, const Analysis& analysis) {
+  const std::vector<TimedFrame> frames = timed_frames(run, analysis.cells);
+  const std::vector<ChannelSignal> signals = channel_signals(run, frames);
+  std::unordered_map<std::size_t, std::size_t> outlier_of;
+  for (std::size_t i = 0; i < analysis.outliers.size(); ++i)
+    outlier_of.emplace(analysis.outliers[i].frame_index, i);
+  const auto usable = [](const ChannelSignal& signal) {
+    return signal.unusable.empty() &&
+           std::any_of(signal.value.begin(), signal.value.end(),
+                       [](const std::optional<double>& value) { return value.has_value(); });
+  };
+  const auto usable_count =
+      static_cast<std::size_t>(std::count_if(signals.begin(), signals.end(), usable));
+  const std::size_t limit = std::clamp<std::size_t>(
+      room_beside_outliers(analysis, max_scatter_values) / std::max<std::size_t>(1, usable_count),
+      200, max_scatter_frames);
+  const std::vector<std::size_t> kept = scatter_frames(analysis, frames, outlier_of, limit);
+  json result{{"cell", json::array()},
+              {"ms", json::array()},
+              {"outlier", json::array()},
+              {"channels", json::array()},
+              {"frames", frames.size()}};
+  for (const std::size_t i : kept) {
+    const auto outlier = outlier_of.find(frames[i].frame_index);
+    result["cell"].push_back(frames[i].cell);
+    result["ms"].push_back(short_number(frames[i].ms));
+    result["outlier"].push_back(outlier == outlier_of.end() ? json(nullptr)
+                                                            : json(outlier->second));
+  }
+  for (std::size_t c = 0; c < signals.size(); ++c) {
+    if (!usable(signals[c])) continue;
+    const AxisUnit axis = signal_axis(run.channels[c]);
+    json values = json::array();
+    for (const std::size_t i : kept) {
+      const auto& value = signals[c].value[i];
+      values.push_back(value ? json(short_number(*value * axis.factor)) : json(nullptr));
+    }
+    result["channels"].push_back(
+        {{"name", signals[c].name}, {"unit", axis.name}, {"value", std::move(values)}});
+  }
+  return result;
 }
 
 /// A channel as it is drawn: counters as rates, units as on the axis.
@@ -121,7 +342,7 @@ json curve_json(const Analysis& analysis, const Channel& channel, const Curve& c
   json t_s = json::array();
   json value = json::array();
   for (std::size_t i = 0; i < curve.t_ns.size(); ++i) {
-    t_s.push_back(seconds(analysis, curve.t_ns[i]));
+    t_s.push_back(drawn_seconds(analysis, curve.t_ns[i]));
     value.push_back(short_number(curve.value[i]));
   }
   return {{"name", channel.name}, {"t_s", std::move(t_s)}, {"value", std::move(value)}};
@@ -129,8 +350,10 @@ json curve_json(const Analysis& analysis, const Channel& channel, const Curve& c
 
 /// Sensor tracks, one per title and unit, and the names of the channels that are not drawn.
 std::pair<json, json> sensor_tracks(const RunRecord& run, const Analysis& analysis) {
-  const std::size_t limit = std::clamp<std::size_t>(
-      max_sensor_points / std::max<std::size_t>(1, run.series.size()), 100, max_points_per_channel);
+  const std::size_t limit =
+      std::clamp<std::size_t>(room_beside_outliers(analysis, max_sensor_points) /
+                                  std::max<std::size_t>(1, run.series.size()),
+                              100, max_points_per_channel);
   std::map<std::tuple<Quantity, std::string, std::string>, json> tracks;
   json constant = json::array();
   json too_short = json::array();
@@ -186,41 +409,122 @@ json reading_rows(const Analysis& analysis) {
   return rows;
 }
 
-json image_list(const std::vector<ReportImage>& images, std::size_t& left_out_count) {
+/// What a picture's name says: "{model}_view{v}_reference", "{model}_view{v}_{ALGORITHM}_heat".
+struct PictureName {
+  std::string place;  ///< model and view; empty for other names
+  std::string what;   ///< "reference", or the algorithm of a heat map
+};
+
+PictureName picture_name(const std::string& title) {
+  const std::size_t view = title.rfind("_view");
+  if (view == title.npos) return {};
+  std::size_t end = view + 5;
+  while (end < title.size() && std::isdigit(static_cast<unsigned char>(title[end])) != 0) ++end;
+  if (end == view + 5 || end == title.size() || title[end] != '_') return {};
+  std::string what = title.substr(end + 1);
+  constexpr std::string_view heat = "_heat";
+  if (what.ends_with(heat)) {
+    what.resize(what.size() - heat.size());
+  } else if (what != "reference") {
+    return {};
+  }
+  return {title.substr(0, view) + ", view " + title.substr(view + 5, end - view - 5), what};
+}
+
+/// The pictures that fit into `budget_bytes`, reference images first, by model and view; `left_out`
+/// names those that do not.
+json image_list(const std::vector<ReportImage>& images, std::size_t budget_bytes, json& left_out) {
+  std::vector<const ReportImage*> order;
+  for (const ReportImage& image : images)
+    if (!image.png.empty()) order.push_back(&image);
+  std::stable_partition(order.begin(), order.end(), [](const ReportImage* image) {
+    return picture_name(image->title).what == "reference";
+  });
   json list = json::array();
   std::size_t total_bytes = 0;
-  for (const ReportImage& image : images) {
-    if (image.png.empty()) continue;
-    if (total_bytes + image.png.size() > max_image_bytes) {
-      ++left_out_count;
+  for (const ReportImage* image : order) {
+    const std::size_t bytes = (image->png.size() + 2) / 3 * 4 + 300;
+    if (total_bytes + bytes > budget_bytes) {
+      left_out.push_back(image_file(image->title));
       continue;
     }
-    total_bytes += image.png.size();
-    list.push_back({{"title", image.title}, {"src", "data:image/png;base64," + base64(image.png)}});
+    total_bytes += bytes;
+    const PictureName name = picture_name(image->title);
+    list.push_back({{"title", image->title},
+                    {"place", name.place},
+                    {"what", name.what},
+                    {"src", "data:image/png;base64," + base64(image->png)}});
   }
   return list;
 }
 
+/// report.json without what the page holds in a shorter form.
+json page_report(const RunRecord& run, const Analysis& analysis,
+                 const std::vector<std::string>& image_files) {
+  json report = report_json(run, analysis, image_files);
+  report.erase("outliers");
+  report["throttling"].erase("intervals");
+  json events = json::array();
+  for (json& event : report["events"])
+    if (event["kind"] != "idle" && event["kind"] != "sampler-off")
+      events.push_back(std::move(event));
+  report["event_count"] = events.size();
+  if (events.size() > max_event_rows)
+    events.erase(events.begin() + static_cast<std::ptrdiff_t>(max_event_rows), events.end());
+  report["events"] = std::move(events);
+  // Those trials whose fast regime needs a word.
+  json regimes = json::array();
+  for (json& regime : report["regimes"])
+    if (regime["entirely_slow"] == true ||
+        std::fabs(regime["drift_ratio"].get<double>() - 1) > 0.05)
+      regimes.push_back(std::move(regime));
+  report["regime_count"] = regimes.size();
+  if (regimes.size() > max_regime_rows)
+    regimes.erase(regimes.begin() + static_cast<std::ptrdiff_t>(max_regime_rows), regimes.end());
+  report["regimes"] = std::move(regimes);
+  return report;
+}
+
+json cause_names() {
+  json names = json::array();
+  for (std::size_t k = 0; k < cause_count; ++k) names.push_back(to_string(static_cast<Cause>(k)));
+  return names;
+}
+
+json ranking_energy(const Analysis& analysis) {
+  json rows = json::array();
+  for (const RankingRow& row : analysis.ranking)
+    rows.push_back(energy_of_text(analysis, row.algorithm));
+  return rows;
+}
+
+/// All but the pictures.
 json page_data(const RunRecord& run, const Analysis& analysis,
                const std::vector<ReportImage>& images) {
   json data;
-  std::size_t left_out_count = 0;
   std::vector<std::string> image_files;
   json named_images = json::array();
   for (const ReportImage& image : images) {
     image_files.push_back(image_file(image.title));
     if (image.png.empty()) named_images.push_back(image_files.back());
   }
-  data["report"] = report_json(run, analysis, image_files);
+  data["report"] = page_report(run, analysis, image_files);
+  data["answer"] = answer_text(analysis);
+  data["causes"] = cause_names();
+  data["min_confidence"] = min_confidence;
+  data["outliers"] = outlier_columns(run, analysis);
   data["frames"] = frame_points(run, analysis);
+  data["bands"] = throttle_bands(run, analysis);
+  data["throttling_text"] = throttling_text(run, analysis.throttling);
+  data["scatter"] = scatter(run, analysis);
   std::tie(data["tracks"], data["not_drawn"]) = sensor_tracks(run, analysis);
   data["sensor_rows"] = sensor_rows(analysis);
   data["readings"] = reading_rows(analysis);
   data["sampler"] = sampler_text(analysis.sampler);
   data["score_text"] = score_text(analysis);
+  data["energy_text"] = energy_text(analysis);
+  data["ranking_energy"] = ranking_energy(analysis);
   data["duration"] = duration_text(analysis.run.end_ns - analysis.run.begin_ns);
-  data["images"] = image_list(images, left_out_count);
-  data["images_left_out"] = left_out_count;
   data["named_images"] = std::move(named_images);
   data["cache_text"] = cache_text(analysis);
   data["idle_text"] = idle_text(analysis);
@@ -287,8 +591,17 @@ std::string image_file(const std::string& title) { return "images/" + title + ".
 std::string report_html(const RunRecord& run, const Analysis& analysis,
                         const std::vector<ReportImage>& images) {
   const std::string title = html_text(analysis.run.name.value_or("run without a name"));
-  const std::string data = script_json(page_data(run, analysis, images));
   const std::string licences = html_text(embedded::report_licences());
+  json page = page_data(run, analysis, images);
+  const std::size_t bytes_without_images =
+      script_json(page).size() + licences.size() + embedded::report_page().size() +
+      embedded::report_style().size() + embedded::echarts_script().size() +
+      embedded::report_script().size();
+  json left_out = json::array();
+  page["images"] =
+      image_list(images, max_page_bytes - std::min(max_page_bytes, bytes_without_images), left_out);
+  page["images_left_out"] = std::move(left_out);
+  const std::string data = script_json(page);
   return fill(embedded::report_page(), {{"title", title},
                                         {"style", embedded::report_style()},
                                         {"data", data},

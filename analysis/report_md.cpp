@@ -118,7 +118,8 @@ void write_top(Page& page, const RunRecord& run, const Analysis& analysis) {
   page.line("# energyprof: {}\n", facts.name ? escaped(*facts.name) : "run without a name");
   for (const Flag& flag : analysis.flags)
     page.line("> **{}** {}\n", flag.label, escaped(flag.text));
-  page.line("**{}**\n", escaped(analysis.headline));
+  for (const std::string& sentence : answer_text(analysis))
+    page.line("**{}**\n", escaped(sentence));
   if (facts.verdict) page.line("{}\n", escaped(*facts.verdict));
   if (facts.question) page.line("Question: {}\n", escaped(*facts.question));
   page.table({"", ""});
@@ -143,14 +144,14 @@ void write_ranking(Page& page, const Analysis& analysis) {
   if (analysis.cells.empty()) return page.line("No timed frame was recorded.");
   if (analysis.ranking.empty()) return page.line("Nothing to rank; the warnings say why.");
   page.table({">rank", "algorithm", ">score \\[ms\\]", ">95 % \\[ms\\]", ">normalized", ">95 %",
-              ">truncated mean \\[ms\\]", ">stddev \\[ms\\]"});
+              ">truncated mean \\[ms\\]", ">stddev \\[ms\\]", ">net energy per ray"});
   for (const RankingRow& row : analysis.ranking)
     page.row(
         {fmt::format("{}", row.rank), escaped(row.algorithm), ms(row.score_ms),
          fmt::format("{:.3f} to {:.3f}", row.score_interval_ms.low, row.score_interval_ms.high),
          fmt::format("{:.3f}", row.normalized),
          fmt::format("{:.3f} to {:.3f}", row.normalized_interval.low, row.normalized_interval.high),
-         ms(row.truncated_mean_ms), ms(row.stddev_ms)});
+         ms(row.truncated_mean_ms), ms(row.stddev_ms), energy_of_text(analysis, row.algorithm)});
   page.line("\n{} Cells: {}.", score_text(analysis), analysis.ranking.front().cell_count);
 }
 

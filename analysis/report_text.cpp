@@ -31,7 +31,7 @@ std::string counter_text(const SensorSummary& sensor) {
   if (si == "J") return fmt::format("{}, {} on average", text, scaled(*sensor.mean_rate, "W"));
   if (si == "s") return fmt::format("{}, {} of the time", text, percent(*sensor.mean_rate));
   if (si == "B" || sensor.channel.unit == Unit::count)
-    return fmt::format("{}, {}", text, scaled(*sensor.mean_rate, si == "B" ? "B/s" : "per s"));
+    return fmt::format("{}, {}", text, scaled(*sensor.mean_rate, si == "B" ? "B/s" : "/s"));
   return text;
 }
 
@@ -269,6 +269,149 @@ std::string energy_text(const Analysis& analysis) {
     return text + ".";
   }
   return {};
+}
+
+namespace {
+
+std::string nanojoules(double value) { return scaled(value * 1e-9, "J"); }
+
+/// Which algorithm needs least on one model: "GRID, 12.3 nJ a ray (12.0 nJ to 12.6 nJ)".
+std::string thriftiest_text(std::vector<const EnergyRow*> rows) {
+  std::stable_sort(rows.begin(), rows.end(), [](const EnergyRow* a, const EnergyRow* b) {
+    return a->nj_per_ray->value < b->nj_per_ray->value;
+  });
+  const EnergyRow& best = *rows.front();
+  std::string text =
+      fmt::format("{} with {} a ray", best.algorithm, estimate_text(best.nj_per_ray, 1e-9, "J"));
+  if (rows.size() == 1) return text;
+  const EnergyRow& next = *rows[1];
+  const bool sure = best.nj_per_ray->interval.high < next.nj_per_ray->interval.low;
+  return text + fmt::format("{} {} at {}", sure ? ", before" : ", not beyond doubt before",
+                            next.algorithm, nanojoules(next.nj_per_ray->value));
+}
+
+/// Which algorithm needs least energy, or why that is not told.
+std::string energy_answer(const Analysis& analysis) {
+  std::map<std::string, std::vector<const EnergyRow*>> models;
+  std::map<std::string, std::size_t> refusals;
+  for (const EnergyRow& row : analysis.energy) {
+    if (row.nj_per_ray)
+      models[row.model].push_back(&row);
+    else
+      ++refusals[row.refused.empty() ? "rays were not counted" : row.refused];
+  }
+  std::string reason = "no energy channel was recorded";
+  if (!refusals.empty())
+    reason = std::max_element(refusals.begin(), refusals.end(), [](const auto& a, const auto& b) {
+               return a.second < b.second;
+             })->first;
+  if (models.empty()) return fmt::format("energy: not told, because {}", reason);
+  std::string text = "least energy: ";
+  for (const auto& [model, rows] : models) {
+    if (&rows != &models.begin()->second) text += "; ";
+    if (models.size() > 1) text += model + ": ";
+    text += thriftiest_text(rows);
+  }
+  std::size_t refused_count = 0;
+  for (const auto& [why, count] : refusals) refused_count += count;
+  if (refused_count > 0)
+    text += fmt::format("; not told for {} of {}, because {}", refused_count,
+                        analysis.energy.size(), reason);
+  return text;
+}
+
+/// How many outliers there are, what they cost, and what they come from.
+std::string outlier_answer(const Analysis& analysis) {
+  std::size_t frame_count = 0;
+  double total_ms = 0;
+  for (const Cell& cell : analysis.cells) {
+    frame_count += cell.frame_ms.size();
+    for (const double ms : cell.frame_ms) total_ms += ms;
+  }
+  if (analysis.outliers.empty())
+    return fmt::format("None of {} was slow for its trial.", counted(frame_count, "timed frame"));
+  double excess_ms = 0;
+  for (const Outlier& outlier : analysis.outliers) excess_ms += outlier.excess_ms;
+  std::string causes = outlier_text(analysis);
+  causes = causes.substr(causes.find(": ") + 2);
+  return fmt::format("{} of {} were outliers, which lost {} of all frame time: {}",
+                     analysis.outliers.size(), counted(frame_count, "timed frame"),
+                     percent(total_ms > 0 ? excess_ms / total_ms : 0), causes);
+}
+
+/// "a", "a and b", "a, b and c".
+std::string enumeration(const std::vector<std::string>& words) {
+  std::string text;
+  for (std::size_t i = 0; i < words.size(); ++i)
+    text += (i == 0 ? "" : i + 1 == words.size() ? " and " : ", ") + words[i];
+  return text;
+}
+
+/// What no channel showed, and which sensors are missing.
+std::string unseen_answer(const Analysis& analysis) {
+  constexpr std::size_t most_sources = 3;
+  const auto seen = [&](std::initializer_list<Quantity> quantities) {
+    return std::any_of(
+        analysis.sensors.begin(), analysis.sensors.end(), [&](const SensorSummary& sensor) {
+          return sensor.is_usable() && std::find(quantities.begin(), quantities.end(),
+                                                 sensor.channel.quantity) != quantities.end();
+        });
+  };
+  std::vector<std::string> blind;
+  if (!seen({Quantity::energy, Quantity::power})) blind.emplace_back("energy");
+  if (!seen({Quantity::frequency})) blind.emplace_back("clocks");
+  if (!seen({Quantity::temperature})) blind.emplace_back("temperatures");
+  if (!seen({Quantity::throttle})) blind.emplace_back("reasons of throttling");
+  if (!seen({Quantity::cache_miss, Quantity::memory_traffic})) blind.emplace_back("cache misses");
+  if (!seen({Quantity::interference})) blind.emplace_back("other work on the machine");
+  std::vector<std::string> sources;
+  for (const MissingSensor& missing : analysis.missing_sensors)
+    if (std::find(sources.begin(), sources.end(), missing.source) == sources.end())
+      sources.push_back(missing.source);
+  if (sources.size() > most_sources) {
+    const std::size_t more = sources.size() - most_sources;
+    sources.resize(most_sources);
+    sources.push_back(counted(more, "other source"));
+  }
+  if (blind.empty() && sources.empty()) return "Every kind of sensor delivered.";
+  std::string text = blind.empty() ? "Every kind of sensor delivered"
+                                   : fmt::format("Not seen: {}", enumeration(blind));
+  if (!sources.empty()) text += fmt::format("; not readable: {}", enumeration(sources));
+  return text + ".";
+}
+
+}  // namespace
+
+std::optional<EnergyOfAlgorithm> energy_of(const Analysis& analysis, std::string_view algorithm) {
+  EnergyOfAlgorithm energy;
+  for (const EnergyRow& row : analysis.energy) {
+    if (row.algorithm != algorithm) continue;
+    if (!row.nj_per_ray) return std::nullopt;
+    energy.nj_per_ray += row.nj_per_ray->value;
+    energy.interval = row.nj_per_ray->interval;
+    ++energy.model_count;
+  }
+  if (energy.model_count == 0) return std::nullopt;
+  energy.nj_per_ray /= static_cast<double>(energy.model_count);
+  if (energy.model_count > 1) energy.interval.reset();
+  return energy;
+}
+
+std::string energy_of_text(const Analysis& analysis, std::string_view algorithm) {
+  const auto energy = energy_of(analysis, algorithm);
+  if (!energy) return "-";
+  if (energy->interval)
+    return estimate_text(Estimate{energy->nj_per_ray, *energy->interval}, 1e-9, "J");
+  return nanojoules(energy->nj_per_ray);
+}
+
+std::vector<std::string> answer_text(const Analysis& analysis) {
+  if (analysis.run.command) return {analysis.headline, unseen_answer(analysis)};
+  if (analysis.cells.empty()) return {analysis.headline};
+  std::string best = analysis.headline;
+  if (best.ends_with('.')) best.pop_back();
+  return {fmt::format("{}; {}.", best, energy_answer(analysis)), outlier_answer(analysis),
+          unseen_answer(analysis)};
 }
 
 std::string coincidence_text(const Analysis& analysis) {

@@ -56,6 +56,22 @@ std::vector<std::string> throttling_text(const RunRecord& run, const Throttling&
 std::string estimate_text(const std::optional<Estimate>& estimate, double factor,
                           std::string_view unit);
 
+/// What an algorithm needs above idle, over all its models.
+struct EnergyOfAlgorithm {
+  double nj_per_ray = 0;             ///< mean over models
+  std::optional<Interval> interval;  ///< 95 %; with one model only
+  std::size_t model_count = 0;
+};
+/// nullopt where a model has no number.
+std::optional<EnergyOfAlgorithm> energy_of(const Analysis& analysis, std::string_view algorithm);
+
+/// The same in words: "12.3 nJ (12.0 nJ to 12.6 nJ)"; "-" where there is none.
+std::string energy_of_text(const Analysis& analysis, std::string_view algorithm);
+
+/// The answer in three sentences: what wins in time and in energy, what the outliers come from,
+/// what could not be seen. Fewer where there is nothing to say.
+std::vector<std::string> answer_text(const Analysis& analysis);
+
 /// Which channel the energies are of, what idling draws, and how they were found; empty without
 /// energies.
 std::string energy_text(const Analysis& analysis);

@@ -92,7 +92,7 @@ std::string read_bytes(const fs::path& file) {
   return {std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
 }
 
-/// Pictures by name; only the reference images, which the page shows, with their bytes.
+/// Pictures by name; only reference images and heat maps, which the page shows, with their bytes.
 std::vector<ReportImage> read_images(const fs::path& directory) {
   std::vector<fs::path> files;
   std::error_code none;
@@ -102,7 +102,8 @@ std::vector<ReportImage> read_images(const fs::path& directory) {
   std::vector<ReportImage> images;
   for (const fs::path& file : files) {
     const std::string title = file.stem().string();
-    images.push_back({title, title.ends_with("_reference") ? read_bytes(file) : std::string()});
+    const bool shown = title.ends_with("_reference") || title.ends_with("_heat");
+    images.push_back({title, shown ? read_bytes(file) : std::string()});
   }
   return images;
 }

@@ -51,8 +51,6 @@ int run_command(const RunOptions& options) {
   const InterruptGuard interrupts;
   const StudyResult result = record_study(config, study);
   write_all_reports(study.out, study.out / "run.sqlite", stdout);
-  const fs::path images = study.out / "images";
-  if (fs::is_directory(images) && !fs::is_empty(images)) fmt::print("{}/\n", images.string());
   if (result.interrupted) return exit_interrupted;
   if (result.skipped_count == result.trial_count)
     throw std::runtime_error(fmt::format("no trial could be traced: {}", result.first_skip_reason));

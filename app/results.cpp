@@ -1,11 +1,9 @@
 #include "app/results.h"
 
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 
 #include <ctime>
 #include <map>
-#include <optional>
 #include <vector>
 
 #include "analysis/analyze.h"
@@ -31,55 +29,34 @@ fs::path default_run_dir(const std::string& name) {
 
 namespace {
 
-std::string milliseconds(const std::optional<double>& value) {
-  return value ? fmt::format("{:.3f}", *value) : "-";
+/// A line per algorithm: the paper's score beside energy and outliers.
+void print_ranking(const analysis::Analysis& result, std::FILE* to) {
+  if (result.ranking.empty()) return;
+  std::map<std::string, int64_t> outlier_count;
+  for (const analysis::Cell& cell : result.cells)
+    outlier_count[cell.algorithm] += cell.outlier_count;
+  fmt::print(to, "{:>4}  {:<18} {:>10} {:>20} {:>10} {:>9}  {}\n", "rank", "algorithm", "score ms",
+             "95 %", "times best", "outliers", "net energy per ray, 95 %");
+  for (const analysis::RankingRow& row : result.ranking)
+    fmt::print(
+        to, "{:>4}  {:<18} {:>10.3f} {:>20} {:>10.3f} {:>9}  {}\n", row.rank, row.algorithm,
+        row.score_ms,
+        fmt::format("{:.3f} to {:.3f}", row.score_interval_ms.low, row.score_interval_ms.high),
+        row.normalized, outlier_count[row.algorithm],
+        analysis::energy_of_text(result, row.algorithm));
 }
 
-/// The result in a few lines: what stdout is for.
+/// The result in a few lines, the answer last: what stdout is for.
 void print_summary(const analysis::Analysis& result, std::FILE* to) {
-  if (!result.cells.empty())
-    fmt::print(to, "{:<24} {:>4}  {:<16} {:>6} {:>11} {:>22} {:>11} {:>9}\n", "model", "view",
-               "algorithm", "frames", "median ms", "95 % interval ms", "stddev ms", "Mrays/s");
-  for (const analysis::Cell& cell : result.cells) {
-    const std::string interval = cell.median_interval_ms
-                                     ? fmt::format("{:.3f} to {:.3f}", cell.median_interval_ms->low,
-                                                   cell.median_interval_ms->high)
-                                     : "-";
-    fmt::print(to, "{:<24} {:>4}  {:<16} {:>6} {:>11.3f} {:>22} {:>11} {:>9}\n", cell.model,
-               cell.view, cell.algorithm, cell.frame_ms.size(), cell.median_ms, interval,
-               milliseconds(cell.stddev_ms),
-               cell.mrays_per_s ? fmt::format("{:.2f}", *cell.mrays_per_s) : "-");
-  }
-  for (const analysis::RankingRow& row : result.ranking)
-    fmt::print(to, "{}. {}: score {:.3f} ms (95 %: {:.3f} to {:.3f}), {:.3f} times the best\n",
-               row.rank, row.algorithm, row.score_ms, row.score_interval_ms.low,
-               row.score_interval_ms.high, row.normalized);
-  if (const std::string outliers = analysis::outlier_text(result); !outliers.empty())
-    fmt::print(to, "{}\n", outliers);
-  std::map<std::string, std::vector<std::string>> refused;
-  for (const analysis::EnergyRow& row : result.energy) {
-    if (row.joules_per_frame)
-      fmt::print(to, "{}, {}: {} a frame, {} a ray above idle\n", row.algorithm, row.model,
-                 analysis::estimate_text(row.joules_per_frame, 1, "J"),
-                 analysis::estimate_text(row.nj_per_ray, 1e-9, "J"));
-    else
-      refused[row.refused].push_back(fmt::format("{}, {}", row.algorithm, row.model));
-  }
-  for (const auto& [reason, rows] : refused)
-    fmt::print(
-        to, "No energy{}: {}\n",
-        rows.size() == result.energy.size() ? "" : fmt::format(" of {}", fmt::join(rows, "; ")),
-        reason);
-  if (const std::string text = analysis::coincidence_text(result); !text.empty())
-    fmt::print(to, "{}\n", text);
-  if (result.run.command) {
-    fmt::print(to, "{}\n", result.headline);
+  print_ranking(result, to);
+  if (result.run.command)
     for (const analysis::Reading& row : analysis::readings(result))
       fmt::print(to, "  {:<14} {:<40} {}\n", to_string(row.quantity), row.channel, row.text);
-  }
   for (const std::string& line : analysis::sampler_text(result.sampler))
     fmt::print(to, "{}\n", line);
   for (const analysis::Flag& flag : result.flags) fmt::print(to, "{}: {}\n", flag.label, flag.text);
+  for (const std::string& sentence : analysis::answer_text(result))
+    fmt::print(to, "{}\n", sentence);
 }
 
 }  // namespace
@@ -89,9 +66,11 @@ void write_all_reports(const fs::path& dir, const fs::path& file, std::FILE* to)
   const analysis::Analysis result = analysis::analyze(run);
   const std::vector<fs::path> written = analysis::write_reports(run, result, dir);
   if (to == nullptr) return;
-  print_summary(result, to);
   fmt::print(to, "{}\n", file.string());
   for (const fs::path& path : written) fmt::print(to, "{}\n", path.string());
+  const fs::path images = dir / "images";
+  if (fs::is_directory(images) && !fs::is_empty(images)) fmt::print(to, "{}/\n", images.string());
+  print_summary(result, to);
 }
 
 }  // namespace energyprof::app

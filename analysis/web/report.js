@@ -31,12 +31,21 @@
     low === null ? "-" : `${low.toFixed(decimals)} to ${high.toFixed(decimals)}`;
   const note = (text) => make("p", { className: "note" }, text);
 
-  function scaledMs(value) {
-    if (value >= 1000) return `${+(value / 1000).toPrecision(3)} s`;
-    if (value >= 1) return `${+value.toPrecision(3)} ms`;
-    if (value >= 1e-3) return `${+(value * 1e3).toPrecision(3)} µs`;
-    return `${+(value * 1e6).toPrecision(3)} ns`;
+  const prefixes = [[1e9, "G"], [1e6, "M"], [1e3, "k"], [1, ""], [1e-3, "m"], [1e-6, "µ"], [1e-9, "n"]];
+
+  // Three digits and a prefix: scaled(0.0031, "s") is "3.1 ms".
+  function scaled(value, unit) {
+    const size = Math.abs(value);
+    if (size === 0 || unit === "°C" || unit === "%") return `${+value.toPrecision(3)} ${unit}`;
+    const [factor, prefix] = prefixes.find(([least]) => size >= least) || prefixes[prefixes.length - 1];
+    return `${+(value / factor).toPrecision(3)} ${prefix}${unit}`;
   }
+
+  const scaledMs = (value) => (value >= 1000 ? `${+(value / 1000).toPrecision(3)} s` : scaled(value * 1e-3, "s"));
+  const percent = (ratio) => (ratio === null ? "-" : `${+(100 * ratio).toPrecision(3)} %`);
+  const estimate = ({ value, low, high }, factor, unit) => (value === null ? "-"
+    : `${scaled(value * factor, unit)} (${scaled(low * factor, unit)} to ${scaled(high * factor, unit)})`);
+  const plural = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
 
   // columns: {title, unit, right, header, wide, value(row), tone(row)}; value gives text or a node.
   function table(caption, columns, rows) {
@@ -76,9 +85,20 @@
     light: ["#0072b2", "#c4500a", "#00855f", "#a9508a", "#8a6a00", "#2f8fc4", "#6b5bb5", "#5d6670"],
     dark: ["#5aaee8", "#f08c4a", "#3fc79a", "#e39ccb", "#e2c044", "#8fd0f5", "#b0a3f0", "#b4bec8"],
   };
+  // Of causes, in the order of data.causes; the shape tells them apart without colours.
+  const causeColors = {
+    light: ["#c01f2e", "#c4500a", "#8a6a00", "#0072b2", "#6b5bb5", "#00855f", "#5d6670"],
+    dark: ["#ff8a8a", "#f0a04a", "#e2c044", "#5aaee8", "#b0a3f0", "#3fc79a", "#b4bec8"],
+  };
+  const causeSymbols = ["triangle", "rect", "roundRect", "diamond", "pin", "arrow", "circle"];
+  const bandColors = { power: "#c4500a", thermal: "#c01f2e", other: "#8a6a00" };
   const darkQuery = window.matchMedia("(prefers-color-scheme: dark)");
   let printing = false;
-  const palette = () => palettes[darkQuery.matches && !printing ? "dark" : "light"];
+  const theme = () => (darkQuery.matches && !printing ? "dark" : "light");
+  const palette = () => palettes[theme()];
+  const causeColor = (cause) => causeColors[theme()][cause];
+  const bandColor = (name) =>
+    bandColors[name.startsWith("power") ? "power" : name === "thermal" ? "thermal" : "other"];
   const algorithms = [...new Set(report.cells.map((cell) => cell.algorithm))];
   const colorOf = (algorithm) => palette()[algorithms.indexOf(algorithm) % palette().length];
 
@@ -91,6 +111,8 @@
   function paintKeys() {
     for (const node of document.querySelectorAll("[data-algorithm]"))
       node.style.background = colorOf(node.dataset.algorithm);
+    for (const node of document.querySelectorAll("[data-cause]"))
+      node.style.background = causeColor(Number(node.dataset.cause));
   }
 
   function named(algorithm) {
@@ -99,11 +121,52 @@
     return text;
   }
 
+  function causeNamed(cause) {
+    const mark = make("span", { className: "key" });
+    mark.dataset.cause = cause;
+    return make("span", { className: "named" }, mark, data.causes[cause]);
+  }
+
+  // ---- outliers: columns in data.outliers
+
+  const outliers = data.outliers;
+  const outlierCount = outliers.ms.length;
+  const ratioOf = (index) => +(outliers.ms[index] / (outliers.ms[index] - outliers.excess_ms[index])).toFixed(2);
+
+  const confidence = (index) => (outliers.confidence_pct[index] / 100).toFixed(2);
+
+  function evidenceValue(value, unit) {
+    if (unit === "1") return `${+(100 * value).toFixed(0)} %`;
+    if (unit === "s/s") return `${+value.toPrecision(3)} s/s`;
+    if (unit.startsWith("count")) return scaled(value, "").trim() + unit.slice(5);
+    return scaled(value, unit);
+  }
+
+  function evidenceLines(index) {
+    const seen = outliers.evidence[index];
+    if (seen === 0) return ["evidence is in report.json"];
+    if (seen.length === 0) return ["no evidence"];
+    return seen.map(([channel, unit, value, expected]) => {
+      const name = outliers.units[unit];
+      return `${outliers.channels[channel]}${name === "1" ? " set" : ""} ${evidenceValue(value, name)}${name === "1" ? " of the time" : ""}`
+        + (expected === null ? "" : ` instead of ${evidenceValue(expected, name)}`);
+    });
+  }
+
+  function outlierText(index) {
+    const cell = report.cells[outliers.cell[index]];
+    return `Outlier ${index + 1} of ${outlierCount}, at ${outliers.t_s[index].toFixed(3)} s: ${cell.algorithm}, `
+      + `${cell.model}, view ${cell.view}, frame ${outliers.frame[index]}, ${scaledMs(outliers.ms[index])}, `
+      + `${ratioOf(index)} times its fast regime. Cause: ${data.causes[outliers.cause[index]]}, `
+      + `confidence ${confidence(index)}. Evidence: ${evidenceLines(index).join("; ")}.`;
+  }
+
   // ---- top of the page
 
   function fillTop() {
     show("question", run.question);
-    show("headline", run.headline);
+    const answer = data.answer.length > 0 ? data.answer : [run.headline];
+    byId("answer").append(...answer.map((sentence) => make("p", {}, sentence)));
     show("verdict", run.verdict);
     for (const flag of run.flags)
       byId("flags").append(
@@ -150,13 +213,13 @@
     const columns = [
       { title: "Rank", right: true, value: (row) => String(row.rank) },
       { title: "Algorithm", header: true, value: (row) => named(row.algorithm) },
-      { title: "Score", unit: "ms", right: true, value: (row) => ms(row.score_ms) },
-      { title: "95 %", unit: "ms", right: true,
-        value: (row) => range(row.score_low_ms, row.score_high_ms, 3) },
-      { title: "Normalized", right: true, value: (row) => fixed(row.normalized, 3) },
-      { title: "95 %", right: true,
-        value: (row) => (row.rank === 1 ? "-" : range(row.normalized_low, row.normalized_high, 3)) },
+      { title: "Score", unit: "ms, 95 %", right: true,
+        value: (row) => `${ms(row.score_ms)} (${range(row.score_low_ms, row.score_high_ms, 3)})` },
+      { title: "Normalized", unit: "95 %", right: true, value: (row) => fixed(row.normalized, 3)
+        + (row.rank === 1 ? "" : ` (${range(row.normalized_low, row.normalized_high, 3)})`) },
       { title: "Times the best", value: (row) => bar(row, longest) },
+      { title: "Net energy", unit: "per ray, 95 %", right: true,
+        value: (row) => data.ranking_energy[report.ranking.indexOf(row)] },
       { title: "Truncated mean", unit: "ms", right: true, value: (row) => ms(row.truncated_mean_ms) },
       { title: "Std. deviation", unit: "ms", right: true, value: (row) => ms(row.stddev_ms) },
     ];
@@ -195,7 +258,6 @@
         tone: (cell) => ({ agree: "good", differ: "bad" })[checksum(cell)] },
       { title: "Clock error", unit: "± µs", right: true, value: (cell) => fixed(cell.clock_error_us, 1) },
     ], report.cells));
-    fillOutliers();
     fillWork();
     fillStructures();
   }
@@ -223,27 +285,169 @@
     if (data.cache_text) body("work").append(note(data.cache_text));
   }
 
+  function causeRows() {
+    const rows = data.causes.map((name, cause) => ({ cause, count: 0, excess: 0, confidence: 0 }));
+    for (let i = 0; i < outlierCount; ++i) {
+      const row = rows[outliers.cause[i]];
+      row.count += 1;
+      row.excess += outliers.excess_ms[i];
+      row.confidence += outliers.confidence_pct[i] / 100;
+    }
+    return rows.filter((row) => row.count > 0).sort((a, b) => b.excess - a.excess);
+  }
+
   function fillOutliers() {
-    const worst = [...report.outliers].sort((a, b) => b.excess_ms - a.excess_ms);
-    body("cells").append(make("h3", {}, "Outliers"));
-    if (worst.length === 0) {
-      body("cells").append(note("No outliers: no timed frame was slow for its trial."));
+    const out = body("outliers");
+    if (report.cells.length === 0) out.append(note("No timed frame was recorded."));
+    else if (outlierCount === 0) out.append(note("No outliers: no timed frame was slow for its trial."));
+    else {
+      const total = outliers.excess_ms.reduce((sum, value) => sum + value, 0);
+      out.append(table(`What made ${plural(outlierCount, "frame")} slow.`, [
+        { title: "Cause", header: true, value: (row) => causeNamed(row.cause) },
+        { title: "Outliers", right: true, value: (row) => String(row.count) },
+        { title: "Share", right: true, value: (row) => percent(row.count / outlierCount) },
+        { title: "Time lost", right: true, value: (row) => scaledMs(row.excess) },
+        { title: "Share of it", right: true, value: (row) => percent(total > 0 ? row.excess / total : 0) },
+        { title: "Mean confidence", right: true, value: (row) => fixed(row.confidence / row.count, 2) },
+      ], causeRows()));
+      const worst = [...outliers.ms.keys()].sort((a, b) => outliers.excess_ms[b] - outliers.excess_ms[a]);
+      const shown = worst.slice(0, 12);
+      const cellOf = (index) => report.cells[outliers.cell[index]];
+      out.append(make("h3", {}, "Those that lost most time"), table(
+        worst.length > shown.length ? `${shown.length} of ${worst.length}; all are in report.json.`
+          : `All ${worst.length}.`, [
+          { title: "Frame", header: true, right: true, value: (i) => String(outliers.frame[i]) },
+          { title: "Model, view", value: (i) => make("span", { className: "named" }, `${cellOf(i).model}, ${cellOf(i).view}`) },
+          { title: "Algorithm", value: (i) => named(cellOf(i).algorithm) },
+          { title: "At", unit: "s", right: true, value: (i) => fixed(outliers.t_s[i], 3) },
+          { title: "Time", unit: "ms", right: true, value: (i) => ms(outliers.ms[i]) },
+          { title: "Ratio", right: true, value: (i) => fixed(ratioOf(i), 2) },
+          { title: "Excess", unit: "ms", right: true, value: (i) => ms(outliers.excess_ms[i]) },
+          { title: "Cause", unit: "confidence, shape", value: (i) => make("div", {}, causeNamed(outliers.cause[i]),
+            make("small", {}, `${confidence(i)}, ${outliers.is_stretch[i] ? "stretch" : "spike"}`)) },
+          { title: "Evidence", unit: "what decided; where unexplained, what spoke against causes", value: (i) => make("div", { className: "evidence" }, ...evidenceLines(i).map((text) => make("div", {}, text))) },
+        ], shown));
+    }
+    if (report.regimes.length > 0)
+      out.append(make("h3", {}, "Trials that drifted or were slow throughout"), table(
+        `${report.regimes.length} of ${plural(report.regime_count, "such trial")}.`, [
+          { title: "Trial", header: true, right: true, value: (row) => String(row.trial_id) },
+          { title: "Frames", right: true, value: (row) => String(row.frames) },
+          { title: "Fast regime", unit: "ms", right: true, value: (row) => ms(row.baseline_ms) },
+          { title: "Drift", right: true, value: (row) => percent(row.drift_ratio - 1) },
+          { title: "Slow throughout", value: (row) => (row.entirely_slow ? "yes" : "no") },
+        ], report.regimes));
+    if (report.cells.length === 0) return;
+    out.append(make("h3", {}, "Throttling"));
+    if (report.throttling.sources.length === 0)
+      out.append(note("No channel tells of throttling, and no clock from which it could be inferred."));
+    else
+      out.append(table("What tells of throttling, and how much of the timed frames' time it was set.", [
+        { title: "Channel", header: true, value: (row) => row.channel },
+        { title: "Class", value: (row) => row.class },
+        { title: "Told by", value: (row) => (row.inferred ? "inferred from the clock" : "a reason channel") },
+        { title: "Intervals", right: true, value: (row) => String(row.intervals) },
+        { title: "Exposure", right: true, value: (row) => percent(row.exposure_ratio) },
+        { title: "Seen", unit: "share of the time", right: true, value: (row) => percent(row.coverage_ratio) },
+        { title: "Read every", right: true, value: (row) => scaled(row.poll_ns * 1e-9, "s") },
+        { title: "Regime", value: (row) => (row.regime ? "yes: explains no single frame" : "no") },
+      ], report.throttling.sources));
+  }
+
+  // ---- what goes together
+
+  function fillCoincidence() {
+    const out = body("relations");
+    const found = report.coincidence;
+    if (!found) {
+      out.append(note("No timed frame was recorded, so nothing can be compared."));
       return;
     }
-    const shown = worst.slice(0, 20);
-    body("cells").append(table(
-      worst.length > shown.length ? `The slowest ${shown.length} of ${worst.length}; all are in report.json.`
-        : `All ${worst.length}, the slowest first.`, [
-        { title: "Frame", header: true, right: true, value: (row) => String(row.frame) },
-        { title: "Model", value: (row) => row.model },
-        { title: "View", right: true, value: (row) => String(row.view) },
-        { title: "Algorithm", value: (row) => named(row.algorithm) },
-        { title: "At", unit: "s", right: true, value: (row) => fixed((row.begin_ns - run.begin_ns) * 1e-9, 3) },
-        { title: "Time", unit: "ms", right: true, value: (row) => ms(row.frame_ms) },
-        { title: "Ratio", right: true, value: (row) => fixed(row.ratio, 2) },
-        { title: "Excess", unit: "ms", right: true, value: (row) => ms(row.excess_ms) },
-        { title: "Cause", value: (row) => row.cause },
-      ], shown));
+    out.append(make("h3", {}, "Outliers and throttling"));
+    out.append(make("p", {}, `${found.verdict}.`));
+    const normal = found.throttled - found.throttled_outliers;
+    const rows = [
+      { name: "outliers", hit: found.throttled_outliers, rest: found.outliers - found.throttled_outliers },
+      { name: "other frames", hit: normal, rest: found.frames - found.outliers - normal },
+    ];
+    const odds = found.odds_ratio;
+    const oddsText = odds.value === null ? "Odds ratio: not told."
+      : `Odds ratio ${odds.value.toPrecision(3)} (95 %: ${odds.low.toPrecision(3)} to `
+        + `${odds.high === null ? "no bound" : odds.high.toPrecision(3)}).`;
+    const p = (value) => (value === null ? "not told" : value.toPrecision(2));
+    out.append(table(`${found.frames} frames that a throttle sensor saw.`, [
+      { title: "", header: true, value: (row) => row.name },
+      { title: "Throttled", right: true, value: (row) => String(row.hit) },
+      { title: "Not throttled", right: true, value: (row) => String(row.rest) },
+      { title: "Share throttled", right: true,
+        value: (row) => percent(row.hit + row.rest > 0 ? row.hit / (row.hit + row.rest) : null) },
+    ], rows), note(`${oddsText} ${found.p === null ? "" : `p ${p(found.p)} by circular shifts, ${p(found.p_fisher)} if `
+      + `frames were independent; q ${p(found.q)}. `}Of all these frames ${percent(found.exposure_ratio)} were throttled.`));
+  }
+
+  function correlationTable(caption, rows) {
+    const value = (number) => (number === null ? "-" : number.toPrecision(2));
+    return table(caption, [
+      { title: "Channel", header: true, value: (row) => row.y },
+      { title: "With", value: (row) => (row.x === "frame_ms" ? "frame time" : row.x) },
+      { title: "Method", value: (row) => row.method },
+      { title: "Coefficient", right: true, value: (row) => fixed(row.coefficient, 2) },
+      { title: "95 %", right: true, value: (row) => range(row.low, row.high, 2) },
+      { title: "Lag", unit: "ms", right: true, value: (row) => fixed(row.lag_ms, 1) },
+      { title: "p", right: true, value: (row) => value(row.p) },
+      { title: "q", right: true, value: (row) => value(row.q) },
+      { title: "Frames", right: true, value: (row) => String(row.n) },
+      { title: "Verdict", wide: true, value: (row) => row.verdict },
+    ], rows);
+  }
+
+  const strength = (row) => Math.abs(row.coefficient || 0);
+
+  function fillRelations() {
+    fillCoincidence();
+    if (!report.coincidence) return;
+    const out = body("relations");
+    out.append(make("h3", {}, "Channels"));
+    if (report.correlations.length === 0) {
+      out.append(note("No channel was recorded that could be compared."));
+      return;
+    }
+    const kinds = { related: [], "not related": [], "cannot tell": [] };
+    // Without a lag a lagged row says what the row without lags says.
+    for (const row of report.correlations)
+      if (row.lag_ms !== 0) kinds[row.verdict.split(":")[0]].push(row);
+    for (const rows of Object.values(kinds)) rows.sort((a, b) => strength(b) - strength(a));
+    if (kinds.related.length > 0)
+      out.append(correlationTable("Related to frame times or outliers, the strongest first.", kinds.related));
+    else out.append(note("No channel is related to frame times or outliers beyond doubt."));
+    for (const [kind, title] of [["not related", "Not related"], ["cannot tell", "Cannot tell"]])
+      if (kinds[kind].length > 0)
+        out.append(make("details", {}, make("summary", {}, `${title}: ${kinds[kind].length}, with the reasons`),
+          correlationTable(`${title}.`, kinds[kind])));
+  }
+
+  function fillFactors() {
+    const out = body("factors");
+    const model = report.factor_model;
+    if (model.explained_time_ratio !== null) {
+      const shared = (row, name) => (row[`share_of_${name}_variance`] === null ? "-"
+        : percent(row[`share_of_${name}_variance`])
+          + (row[`share_of_${name}_low`] === null ? ""
+            : ` (${percent(row[`share_of_${name}_low`])} to ${percent(row[`share_of_${name}_high`])})`));
+      out.append(table(`Shares of the variance of log time and log energy per ray across ${plural(model.cells, "cell")}, 95 %.`, [
+        { title: "Factor", header: true, value: (row) => row.name },
+        { title: "Of time", right: true, value: (row) => shared(row, "time") },
+        { title: "Of energy", right: true, value: (row) => shared(row, "energy") },
+        { title: "Variance inflation", right: true, value: (row) => fixed(row.variance_inflation, 1) },
+        { title: "Note", wide: true, value: (row) => row.note || "" },
+      ], report.factors));
+      out.append(note(`Explained together: ${percent(model.explained_time_ratio)} of time`
+        + (model.explained_energy_ratio === null ? "." : `, ${percent(model.explained_energy_ratio)} of energy.`)));
+    } else if (model.notes.length === 0) out.append(note("There are too few models, views and algorithms to tell factors apart."));
+    const said = (text) => model.explained_time_ratio !== null
+      && report.factors.some((row) => row.note && text.includes(row.note));
+    const notes = model.notes.filter((text) => !said(text));
+    if (notes.length > 0) out.append(list(notes));
   }
 
   function fillStructures() {
@@ -266,45 +470,81 @@
       body("work").append(note("Cached: read from disk; the time is that of its build."));
   }
 
+  function energyColumns(withChannel) {
+    const channel = [
+      { title: "Channel", header: true, value: (row) => row.channel || "-" },
+      { title: "Domain", value: (row) => row.domain || "-" },
+    ];
+    return [
+      ...(withChannel ? channel : []),
+      { title: "Model", header: !withChannel, value: (row) => row.model },
+      { title: "Algorithm", value: (row) => named(row.algorithm) },
+      { title: "Frames", right: true, value: (row) => String(row.frames) },
+      { title: "Net", unit: "per ray, 95 %", right: true, value: (row) => estimate(row.nj_per_ray, 1e-9, "J") },
+      { title: "Net", unit: "per frame, 95 %", right: true, value: (row) => estimate(row.joules_per_frame, 1, "J") },
+      { title: "Gross", unit: "per frame, 95 %", right: true, value: (row) => estimate(row.gross_joules_per_frame, 1, "J") },
+      { title: "EDP", unit: "mJ s", right: true, value: (row) => (row.edp_js === null ? "-" : (1e3 * row.edp_js).toPrecision(3)) },
+      { title: "Idle", unit: "W", right: true, value: (row) => fixed(row.idle_w, 2) },
+      { title: "Above idle", unit: "W", right: true, value: (row) => fixed(row.watts_above_idle, 2) },
+      { title: "Method", wide: true, value: (row) => (row.refused ? `refused: ${row.refused}` : row.method) },
+    ];
+  }
+
   function fillEnergy() {
+    const out = body("energy");
+    byId("pareto").hidden = paretoPoints().length === 0;
     if (report.energy.length === 0) {
-      body("energy").append(note("No timed frame was recorded, so there is no energy per frame."));
+      out.append(note("No timed frame was recorded, so there is no energy per frame."));
       return;
     }
     const refused = [...new Set(report.energy.map((row) => row.refused).filter(Boolean))];
-    if (report.energy.every((row) => row.refused)) {
-      body("energy").append(note(`No joules per frame are given: ${refused.join("; ")}.`));
-      return;
-    }
-    const joules = (row) => (row.refused ? "-" : row.joules_per_frame.value.toPrecision(4));
-    body("energy").append(table("Joules per frame, net of idle.", [
-      { title: "Model", header: true, value: (row) => row.model },
-      { title: "Algorithm", value: (row) => named(row.algorithm) },
-      { title: "Frames", right: true, value: (row) => String(row.frames) },
-      { title: "Energy", unit: "J per frame", right: true, value: joules },
-      { title: "Refused", value: (row) => row.refused || "" },
-    ], report.energy));
+    if (report.energy.every((row) => row.refused))
+      out.append(note(`No energy per frame is given, because ${refused.join("; ")}.`));
+    else
+      out.append(note(`${data.energy_text} Dashed: what no other algorithm beats in both time and energy. Bars: 95 %. `
+        + `${modelsOf(paretoPoints()).map((model, i, all) => `${model}: ${shapeOf(model, all)[1]}`).join("; ")}.`),
+        table("Energy of a frame and of a ray.", energyColumns(false), report.energy));
+    if (report.energy_by_channel.length > report.energy.length)
+      out.append(make("h3", {}, "Every energy channel"),
+        note("Side by side. Some domains contain others (the platform the package, the package its cores and its GPU): they are never summed."),
+        table("Energy on every channel.", energyColumns(true), report.energy_by_channel));
   }
 
+  function picture(image, caption) {
+    return make("figure", {}, make("img", { src: image.src, alt: caption, loading: "lazy" }),
+      make("figcaption", {}, caption));
+  }
+
+  const linked = (files) => make("ul", {}, ...files.map((file) =>
+    make("li", {}, make("a", { href: encodeURI(file) }, file))));
+
   function fillImages() {
-    const pictures = data.images.map((image) =>
-      make("figure", {}, make("img", { src: image.src, alt: image.title, loading: "lazy" }),
-        make("figcaption", {}, image.title)));
-    if (pictures.length > 0) body("images").append(make("div", { className: "pictures" }, ...pictures));
-    else if (data.named_images.length === 0) body("images").append(note("The run has no images."));
-    if (data.named_images.length > 0)
-      body("images").append(note("Beside this page:"), list(data.named_images));
-    if (data.images_left_out > 0)
-      body("images").append(
-        note(`${data.images_left_out} more are in the folder images beside this page; the page would be too large with them.`));
+    const out = body("images");
+    const places = new Map();
+    for (const image of data.images) {
+      const place = image.place || "Other images";
+      if (!places.has(place)) places.set(place, []);
+      places.get(place).push(image);
+    }
+    if (data.images.length === 0 && data.named_images.length === 0) out.append(note("The run has no images."));
+    if (data.images.some((image) => image.place && image.what !== "reference"))
+      out.append(note("Heat maps: cost per pixel = 0.5 per box test + 1 per triangle test of the primary ray."));
+    for (const [place, images] of places)
+      out.append(make("h3", {}, place), make("div", { className: "pictures" },
+        ...images.map((image) => picture(image, image.what
+          ? (image.what === "reference" ? "Reference image" : `${image.what}, heat map`) : image.title))));
+    if (data.images_left_out.length > 0)
+      out.append(note(`The page would be too large with ${plural(data.images_left_out.length, "more image")}:`),
+        linked(data.images_left_out));
+    if (data.named_images.length > 0) out.append(note("Beside this page:"), linked(data.named_images));
   }
 
   // A recorded program has no frames; a study's sensors are drawn and listed below its results.
   function chooseSections() {
-    const hidden = run.command ? ["ranking", "cells", "work", "energy", "images"] : ["readings"];
+    const hidden = run.command ? ["ranking", "outliers", "relations", "scatter", "factors", "theory", "cells", "work", "energy", "images"] : ["readings"];
     for (const id of hidden) {
       byId(id).hidden = true;
-      document.querySelector(`nav a[href="#${id}"]`).hidden = true;
+      for (const link of document.querySelectorAll(`nav a[href="#${id}"]`)) link.hidden = true;
     }
   }
 
@@ -338,6 +578,20 @@
     ], data.sensor_rows));
   }
 
+  function fillDevice() {
+    const rows = [];
+    for (const [group, object] of [["device", report.device], ["host", run.host || {}]])
+      for (const [name, value] of Object.entries(object))
+        rows.push({ group, name, text: value === null ? unknown : typeof value === "string" ? value : JSON.stringify(value) });
+    if (rows.length === 0) body("device").append(note("The run names neither device nor host."));
+    else
+      body("device").append(table("The machine, as the recorder found it.", [
+        { title: "Of", value: (row) => row.group },
+        { title: "What", header: true, value: (row) => row.name },
+        { title: "Value", wide: true, value: (row) => row.text },
+      ], rows));
+  }
+
   function fillUnseen() {
     if (report.missing_sensors.length === 0)
       body("unseen").append(note("The recorder lists no missing sensor."));
@@ -353,8 +607,11 @@
   }
 
   function fillNotes() {
-    body("warnings").append(list(report.warnings));
-    const events = report.events.filter((event) => event.kind !== "idle" && event.kind !== "sampler-off");
+    body("warnings").append(report.warnings.length > 0 ? list(report.warnings) : note("None."));
+    if (run.config)
+      body("method").append(make("details", {}, make("summary", {}, "The config with every default"),
+        make("pre", {}, JSON.stringify(run.config, null, 2))));
+    const events = report.events;
     if (data.idle_text) body("events").append(note(data.idle_text));
     if (events.length === 0) body("events").append(note("Nothing else happened that was noted."));
     else
@@ -364,9 +621,9 @@
           tone: (row) => (row.severity === "info" ? "" : "bad") },
         { title: "Kind", value: (row) => row.kind },
         { title: "What", wide: true, value: (row) => row.text },
-      ], events.slice(0, 200)));
-    if (events.length > 200)
-      body("events").append(note(`${events.length - 200} more are in report.json.`));
+      ], events));
+    if (report.event_count > events.length)
+      body("events").append(note(`${report.event_count - events.length} more are in report.json.`));
     body("cost").append(data.sampler.length > 0 ? list(data.sampler) : note("Not recorded."));
   }
 
@@ -402,18 +659,26 @@
     return channel.value[track.is_rate && channel.t_s[index] !== t ? index + 1 : index];
   }
 
+  // Points of a cell: [seconds, ms, frame, number of the outlier or undefined]; null between trials.
+  const points = data.frames.map((cell) => cell.map((point) => (typeof point === "number"
+    ? [outliers.t_s[point], outliers.ms[point], outliers.frame[point], point] : point)));
+  const isShown = (cell) => !place || placeOf(cell) === place;
+
+  // An outlier where there is one, else the nearest frame.
   function nearestFrame(t, reach) {
     let best = null;
     report.cells.forEach((cell, index) => {
-      if (place && placeOf(cell) !== place) return;
-      for (const point of data.frames[index]) {
+      if (!isShown(cell)) return;
+      for (const point of points[index]) {
         if (!point) continue;
-        const distance = Math.abs(point[0] - t);
+        const distance = Math.abs(point[0] - t) * (point[3] === undefined ? 1 : 0.2);
         if (distance <= reach && (!best || distance < best.distance)) best = { distance, cell, point };
       }
     });
     return best;
   }
+
+  const activeBands = (t) => data.bands.filter((band) => band.spans.some(([begin, end]) => begin <= t && t < end));
 
   function line(left, right) {
     return make("div", {}, make("span", {}, left), make("span", {}, right));
@@ -426,8 +691,18 @@
     if (found) {
       const { cell, point } = found;
       box.append(make("b", {}, `${cell.algorithm}, ${cell.model}, view ${cell.view}`),
-        line(`frame ${point[2]}${point[3] ? ", outlier" : ""}`, scaledMs(point[1])));
+        line(`frame ${point[2]}`, scaledMs(point[1])));
+      const index = point[3];
+      if (index !== undefined) {
+        const rows = [line("outlier", `${ratioOf(index)} times its fast regime`),
+          line("cause", data.causes[outliers.cause[index]]),
+          line("confidence", confidence(index)),
+          ...evidenceLines(index).map((text, i) => line(i === 0 ? "evidence" : "", text))];
+        box.append(make("section", { className: "cause" }, ...rows));
+      }
     }
+    for (const band of activeBands(t))
+      box.append(line(bandName(band), band.channels.slice(0, 3).join(", ")));
     for (const track of data.tracks) {
       box.append(make("b", {}, `${track.title} [${track.unit}]`));
       for (const channel of track.channels.slice(0, 6)) {
@@ -446,22 +721,41 @@
     return zoom ? ((zoom.end - zoom.start) / 100) * duration : duration;
   }
 
+  const bandName = (band) => `throttled: ${band.class}${band.inferred ? " (inferred)" : ""}`;
+  const shownCauses = () => data.causes.map((name, cause) => cause)
+    .filter((cause) => outliers.cause.some((each, i) => each === cause && isShown(report.cells[outliers.cell[i]])));
+
+  function bandSeries(band) {
+    const color = bandColor(band.class);
+    return { name: bandName(band), type: "line", xAxisIndex: 0, yAxisIndex: 0, data: [], color, animation: false,
+      markArea: { silent: true, animation: false,
+        itemStyle: { color, opacity: band.inferred ? 0.1 : 0.2, borderColor: color, borderWidth: band.inferred ? 1 : 0,
+          borderType: "dashed" },
+        data: band.spans.map(([begin, end]) => [{ xAxis: begin }, { xAxis: end }]) } };
+  }
+
+  function causeSeries(cause) {
+    const at = [];
+    for (let i = 0; i < outlierCount; ++i)
+      if (outliers.cause[i] === cause && isShown(report.cells[outliers.cell[i]]))
+        at.push([outliers.t_s[i], outliers.ms[i]]);
+    return { name: data.causes[cause], type: "scatter", xAxisIndex: 0, yAxisIndex: 0, data: at,
+      symbol: causeSymbols[cause], symbolSize: outlierCount > 500 ? 6 : 10, animation: false,
+      emphasis: { disabled: true }, color: causeColor(cause), z: 5,
+      itemStyle: { color: causeColor(cause), borderColor: css("--ground"), borderWidth: 0.8 } };
+  }
+
   function frameSeries() {
-    const series = [];
-    const outliers = [];
-    const dense = data.frames.reduce((sum, points) => sum + points.length, 0) > 6000;
+    const dense = points.reduce((sum, cell) => sum + cell.length, 0) > 6000;
+    const lines = [];
     report.cells.forEach((cell, index) => {
-      if (place && placeOf(cell) !== place) return;
-      const points = data.frames[index].map((point) => (point ? [point[0], point[1]] : [null, null]));
-      series.push({ name: cell.algorithm, type: "line", xAxisIndex: 0, yAxisIndex: 0, data: points,
+      if (!isShown(cell)) return;
+      lines.push({ name: cell.algorithm, type: "line", xAxisIndex: 0, yAxisIndex: 0,
+        data: points[index].map((point) => (point ? [point[0], point[1]] : [null, null])),
         showSymbol: !dense, symbol: "circle", symbolSize: 3, lineStyle: { width: 1 },
         color: colorOf(cell.algorithm), emphasis: { disabled: true }, animation: false });
-      for (const point of data.frames[index]) if (point && point[3]) outliers.push([point[0], point[1]]);
     });
-    series.push({ name: "outlier", type: "scatter", xAxisIndex: 0, yAxisIndex: 0, data: outliers,
-      symbol: "diamond", symbolSize: 11, animation: false, emphasis: { disabled: true },
-      itemStyle: { color: "transparent", borderColor: css("--bad"), borderWidth: 1.8 } });
-    return series;
+    return [...data.bands.map(bandSeries), ...lines, ...shownCauses().map(causeSeries)];
   }
 
   function trackSeries(track, axis) {
@@ -504,7 +798,9 @@
       textStyle: { color: css("--ink"), fontSize: 11 }, pageIconColor: css("--accent"),
       pageIconInactiveColor: css("--line"), pageTextStyle: { color: soft }, pageIconSize: 11,
       inactiveColor: css("--line"), selectedMode: "multiple",
-      data: hasFrames && index === 0 ? [...algorithms, "outlier"]
+      data: hasFrames && index === 0
+        ? [...algorithms, ...shownCauses().map((cause) => ({ name: data.causes[cause], icon: causeSymbols[cause] })),
+          ...data.bands.map((band) => ({ name: bandName(band), icon: "rect" }))]
         : tracks[index - first].channels.map((channel) => channel.name),
       formatter: cut,
     });
@@ -566,7 +862,260 @@
     };
   }
 
+  // ---- charts beside the one over time
+
+  const charts = {};
+
+  function drawInto(id, height, next) {
+    const node = byId(id);
+    if (node.closest("[hidden]")) return;
+    node.style.height = `${height}px`;
+    if (!charts[id]) charts[id] = echarts.init(node);
+    charts[id].resize();
+    charts[id].setOption(next, true);
+  }
+
+  const axis = (name, type, more) => ({ type, name, nameLocation: "middle", nameGap: 32, scale: true,
+    nameTextStyle: { color: css("--soft"), fontSize: 11 },
+    axisLabel: { color: css("--soft"), fontSize: 11, hideOverlap: true },
+    axisLine: { lineStyle: { color: css("--line") } }, splitLine: { lineStyle: { color: css("--grid") } }, ...more });
+
+  const plain = (legend, more) => ({
+    animation: false, backgroundColor: "transparent",
+    textStyle: { fontFamily: getComputedStyle(document.body).fontFamily },
+    grid: { left: 68, right: 24, top: 62, bottom: 52 },
+    legend: { type: "scroll", top: 8, left: 0, right: 0, itemHeight: 9, itemWidth: 14, data: legend, formatter: cut,
+      textStyle: { color: css("--ink"), fontSize: 11 }, pageIconColor: css("--accent"),
+      pageIconInactiveColor: css("--line"), pageTextStyle: { color: css("--soft") }, pageIconSize: 11,
+      inactiveColor: css("--line") },
+    tooltip: { trigger: "item", confine: true, transitionDuration: 0, backgroundColor: css("--panel"),
+      borderColor: css("--line"), textStyle: { color: css("--ink"), fontSize: 12 },
+      formatter: (found) => make("div", { className: "tip" }, found.data.text || found.seriesName) },
+    ...more });
+
+  // Frame time against a channel (a point per frame) or against the work of a cell (a point per cell).
+  const perCell = [["node_visits_per_ray", "node visits per ray"], ["box_tests_per_ray", "box tests per ray"],
+    ["prim_tests_per_ray", "triangle tests per ray"], ["loop_steps_per_ray", "loop steps per ray"],
+    ["simd_efficiency", "SIMD efficiency"], ["bytes_per_pixel_modelled", "bytes per pixel, modelled"],
+    ["l1_misses_per_ray_modelled", "L1 misses per ray, modelled"],
+    ["llc_misses_per_ray_modelled", "LLC misses per ray, modelled"]]
+    .filter(([name]) => report.cells.some((cell) => cell.work[name] !== null));
+
+  function channelScatter(channel) {
+    const normal = new Map(algorithms.map((name) => [name, []]));
+    const slow = new Map(data.causes.map((name, cause) => [cause, []]));
+    channel.value.forEach((value, i) => {
+      if (value === null) return;
+      const cell = report.cells[data.scatter.cell[i]];
+      const index = data.scatter.outlier[i];
+      const text = `${cell.algorithm}, ${cell.model}, view ${cell.view}: ${scaledMs(data.scatter.ms[i])} at `
+        + `${+value.toPrecision(4)} ${channel.unit}`;
+      if (index === null) normal.get(cell.algorithm).push({ value: [value, data.scatter.ms[i]], text });
+      else slow.get(outliers.cause[index]).push({ value: [value, data.scatter.ms[i]], text: outlierText(index) });
+    });
+    const series = [...normal].map(([name, at]) => ({ name, type: "scatter", data: at, symbolSize: 4,
+      color: colorOf(name), itemStyle: { opacity: 0.6 }, animation: false }));
+    for (const [cause, at] of slow)
+      if (at.length > 0)
+        series.push({ name: data.causes[cause], type: "scatter", data: at, symbol: causeSymbols[cause],
+          symbolSize: 8, color: causeColor(cause), animation: false });
+    return { series, name: `${channel.name} [${channel.unit}]` };
+  }
+
+  function cellScatter([key, title]) {
+    const series = algorithms.map((name) => ({ name, type: "scatter", symbolSize: 9, color: colorOf(name), animation: false,
+      data: report.cells.filter((cell) => cell.algorithm === name && cell.work[key] !== null).map((cell) => ({
+        value: [cell.work[key], cell.median_ms],
+        text: `${name}, ${cell.model}, view ${cell.view}: median ${scaledMs(cell.median_ms)} at ${+cell.work[key].toPrecision(4)} ${title}` })) }));
+    return { series, name: title };
+  }
+
+  function drawScatter() {
+    const [kind, index] = byId("factor").value.split(":");
+    if (!index) return;
+    const { series, name } = kind === "channel" ? channelScatter(data.scatter.channels[index]) : cellScatter(perCell[index]);
+    byId("scatter_chart").setAttribute("aria-label", `Frame time against ${name}. The tables of channels and of work hold the numbers.`);
+    drawInto("scatter_chart", 380, plain(series.map((each) => each.name), {
+      xAxis: axis(name, "value"),
+      yAxis: axis("", byId("scatter_log").checked ? "log" : "value",
+        { axisLabel: { color: css("--soft"), fontSize: 11, formatter: (value) => (value === 0 ? "0" : scaledMs(value)) } }),
+      series }));
+  }
+
+  function fillScatter() {
+    const select = byId("factor");
+    const channels = make("optgroup", { label: "each frame, against a channel" });
+    const [strongest] = report.correlations.filter((row) => row.verdict.startsWith("related")).sort((a, b) => strength(b) - strength(a));
+    const clock = report.sensors.find((sensor) => sensor.quantity === "frequency" && sensor.updates > 0);
+    const first = strongest ? strongest.y : clock ? clock.name : "";
+    data.scatter.channels.forEach((channel, i) => channels.append(make("option",
+      { value: `channel:${i}`, selected: channel.name === first }, channel.name)));
+    const work = make("optgroup", { label: "medians, against the work of a model, view and algorithm" });
+    perCell.forEach(([, title], i) => work.append(make("option", { value: `cell:${i}` }, title)));
+    select.append(...[channels, work].filter((group) => group.children.length > 0));
+    const empty = select.options.length === 0;
+    byId("scatter").querySelector(".controls").hidden = empty;
+    byId("scatter_chart").hidden = empty;
+    byId("scatter_log").checked = byId("logarithmic").checked;
+    if (empty) body("scatter").append(note("No channel and no counted work to compare frame times with."));
+    else if (data.scatter.ms.length < data.scatter.frames)
+      body("scatter").append(note(`${data.scatter.ms.length} of ${data.scatter.frames} frames are drawn; of the outliers those that lost most time.`));
+    select.addEventListener("change", drawScatter);
+    byId("scatter_log").addEventListener("change", drawScatter);
+  }
+
+  // ---- time against energy
+
+  const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
+
+  function paretoPoints() {
+    return report.energy.filter((row) => row.nj_per_ray.value !== null).map((row) => ({ row,
+      ms: mean(report.cells.filter((cell) => cell.model === row.model && cell.algorithm === row.algorithm)
+        .map((cell) => cell.median_ms)) }));
+  }
+
+  // Those that no other is faster and thriftier than.
+  function front(all) {
+    let least = Infinity;
+    return [...all].sort((a, b) => a.ms - b.ms || a.row.nj_per_ray.value - b.row.nj_per_ray.value).filter((point) => {
+      const is = point.row.nj_per_ray.value < least;
+      if (is) least = point.row.nj_per_ray.value;
+      return is;
+    });
+  }
+
+  const modelShapes = [["circle", "circle"], ["rect", "square"], ["triangle", "triangle"], ["diamond", "diamond"],
+    ["pin", "pin"], ["arrow", "arrow head"]];
+  const shapeOf = (model, models) => modelShapes[models.indexOf(model) % modelShapes.length];
+  const modelsOf = (all) => [...new Set(all.map((point) => point.row.model))];
+
+  function drawPareto() {
+    const all = paretoPoints();
+    if (all.length === 0) return;
+    const models = modelsOf(all);
+    const series = algorithms.map((name) => ({ name, type: "scatter", symbolSize: 12, color: colorOf(name), animation: false,
+      data: all.filter((point) => point.row.algorithm === name).map((point) => ({
+        value: [point.ms, point.row.nj_per_ray.value], symbol: shapeOf(point.row.model, models)[0],
+        text: `${name}, ${point.row.model}: ${scaledMs(point.ms)}, ${estimate(point.row.nj_per_ray, 1e-9, "J")} a ray` })) }));
+    const thin = { type: "line", showSymbol: false, silent: true, animation: false, color: css("--soft") };
+    for (const { row, ms: at } of all)
+      series.push({ ...thin, lineStyle: { width: 1.5, color: colorOf(row.algorithm) },
+        data: [[at, row.nj_per_ray.low], [at, row.nj_per_ray.high]] });
+    for (const model of models)
+      series.push({ ...thin, lineStyle: { width: 1, type: "dashed" }, z: 1,
+        data: front(all.filter((point) => point.row.model === model)).map((point) => [point.ms, point.row.nj_per_ray.value]) });
+    drawInto("pareto", 340, plain(algorithms, {
+      xAxis: axis("median frame time, mean over views [ms]", "value"),
+      yAxis: axis("net energy per ray [nJ]", "value", { nameGap: 50 }), series }));
+  }
+
+  // ---- theory against measurement
+
+  const orderOf = (algorithm) => (algorithm === "GRID"
+    ? { name: "n^(1/3)", of: Math.cbrt } : { name: "log n", of: (n) => Math.log2(n) });
+
+  function theoryRows() {
+    const rows = [];
+    for (const algorithm of algorithms) {
+      const sizes = [];
+      for (const model of new Set(report.cells.map((cell) => cell.model))) {
+        const structure = report.structures.find((each) => each.model === model && each.algorithm === algorithm);
+        const scores = report.cells.filter((cell) => cell.model === model && cell.algorithm === algorithm
+          && cell.score_ms !== null).map((cell) => cell.score_ms);
+        if (structure && structure.triangle_count > 1 && scores.length > 0)
+          sizes.push({ algorithm, model, n: structure.triangle_count, ms: mean(scores) });
+      }
+      sizes.sort((a, b) => a.n - b.n);
+      if (sizes.length < 2 || sizes[0].n === sizes[sizes.length - 1].n) continue;
+      const order = orderOf(algorithm);
+      for (const size of sizes)
+        rows.push({ ...size, order: order.name, expected: sizes[0].ms * order.of(size.n) / order.of(sizes[0].n) });
+    }
+    return rows;
+  }
+
+  function fillTheory() {
+    const rows = theoryRows();
+    byId("theory_chart").hidden = rows.length === 0;
+    if (rows.length === 0) {
+      body("theory").append(note("It takes two models of different size to see how time grows; this run has fewer."));
+      return;
+    }
+    const whole = (value) => value.toLocaleString("en");
+    body("theory").append(
+      note("Solid: the measured score, mean over views. Dashed: what the order of growth predicts from the smallest model."),
+      table("How scores grow with the number of triangles n.", [
+        { title: "Algorithm", value: (row) => named(row.algorithm) },
+        { title: "Model", header: true, value: (row) => row.model },
+        { title: "Triangles", right: true, value: (row) => whole(row.n) },
+        { title: "Measured", unit: "ms", right: true, value: (row) => ms(row.ms) },
+        { title: "Order", value: (row) => row.order },
+        { title: "Expected", unit: "ms", right: true, value: (row) => ms(row.expected) },
+        { title: "Measured / expected", right: true, value: (row) => fixed(row.ms / row.expected, 2) },
+      ], rows));
+  }
+
+  function drawTheory() {
+    const rows = theoryRows();
+    if (rows.length === 0) return;
+    const series = [];
+    for (const name of algorithms) {
+      const own = rows.filter((row) => row.algorithm === name);
+      if (own.length === 0) continue;
+      const { of } = orderOf(name);
+      const [least, most] = [own[0].n, own[own.length - 1].n];
+      const steps = Array.from({ length: 41 }, (_, i) => least * (most / least) ** (i / 40));
+      series.push({ name, type: "line", color: colorOf(name), symbolSize: 8, animation: false,
+        data: own.map((row) => ({ value: [row.n, row.ms], text: `${name}, ${row.model}: ${scaledMs(row.ms)}, ${scaledMs(row.expected)} expected` })) });
+      series.push({ name: `${name}, ${own[0].order}`, type: "line", color: colorOf(name), showSymbol: false, silent: true, animation: false,
+        lineStyle: { type: "dashed", width: 1.2 }, data: steps.map((n) => [n, own[0].ms * of(n) / of(least)]) });
+    }
+    drawInto("theory_chart", 360, plain(series.filter((each) => !each.silent).map((each) => each.name), {
+      xAxis: axis("triangles", "log"), yAxis: axis("score [ms]", "value", { nameGap: 46, scale: false }), series }));
+  }
+
+  // ---- zoom by keyboard, and a walk through the outliers
+
+  function zoomTo(start, end) {
+    const width = Math.min(100, Math.max(0.01, end - start));
+    const from = Math.min(Math.max(0, start), 100 - width);
+    chart.dispatchAction({ type: "dataZoom", start: from, end: from + width });
+  }
+
+  function zoomBy(factor, shift) {
+    const { start, end } = chart.getOption().dataZoom[0];
+    const width = (end - start) * factor;
+    const middle = (start + end) / 2 + shift * (end - start);
+    zoomTo(middle - width / 2, middle + width / 2);
+  }
+
+  let outlierAt = -1;
+
+  function walk(step) {
+    if (outlierCount === 0) return;
+    outlierAt = (outlierAt + step + outlierCount) % outlierCount;
+    const at = (100 * outliers.t_s[outlierAt]) / duration;
+    zoomTo(at - 1, at + 1);
+    byId("outlier_text").textContent = outlierText(outlierAt);
+  }
+
+  function fillZoom() {
+    const actions = { zoom_in: () => zoomBy(0.5, 0), zoom_out: () => zoomBy(2, 0), zoom_earlier: () => zoomBy(1, -0.5),
+      zoom_later: () => zoomBy(1, 0.5), zoom_all: () => zoomTo(0, 100), outlier_before: () => walk(outlierAt < 0 ? 0 : -1),
+      outlier_next: () => walk(1) };
+    for (const [id, action] of Object.entries(actions))
+      byId(id).addEventListener("click", () => { if (chart) action(); });
+    for (const id of ["outlier_before", "outlier_next"]) byId(id).hidden = outlierCount === 0;
+  }
+
   function draw() {
+    drawTime();
+    drawScatter();
+    drawPareto();
+    drawTheory();
+  }
+
+  function drawTime() {
     paintKeys();
     const all = rows();
     if (all.length === 0) return;
@@ -587,14 +1136,18 @@
       const [model, view] = JSON.parse(each);
       select.append(make("option", { value: each }, `${model}, view ${view}`));
     }
-    byId("time").querySelector(".controls").hidden = !hasFrames;
-    select.addEventListener("change", () => { place = select.value; draw(); });
-    byId("logarithmic").checked = report.outliers.some((outlier) => outlier.ratio > 10);
-    byId("logarithmic").addEventListener("change", draw);
+    byId("frame_controls").hidden = !hasFrames;
+    byId("zoom_controls").hidden = !hasFrames && data.tracks.length === 0;
+    select.addEventListener("change", () => { place = select.value; drawTime(); });
+    byId("logarithmic").checked = outliers.ms.some((value, i) => ratioOf(i) > 10);
+    byId("logarithmic").addEventListener("change", drawTime);
 
     const notes = body("time");
     if (!hasFrames && data.tracks.length === 0) notes.append(note("There is nothing to draw."));
-    else notes.append(note("Drag the slider, or hold Ctrl and turn the wheel, to zoom; all tracks follow."));
+    else notes.append(note("Drag the slider, use the buttons, or hold Ctrl and turn the wheel, to zoom; the magnifier above the chart zooms into a stretch that is drawn with the mouse. All tracks follow."));
+    if (outlierCount > 0) notes.append(note("Marks are outliers, their colour and shape the cause; bands are throttling, dashed where it was inferred from the clock."));
+    for (const band of data.bands)
+      if (band.closed !== null) notes.append(note(`${bandName(band)}: gaps up to ${band.closed} are closed in the drawing; the track shows them.`));
     for (const text of new Set(data.tracks.map((track) => track.note).filter(Boolean))) notes.append(note(text));
     if (data.not_drawn.constant.length > 0)
       notes.append(note(`Not drawn, as they never changed: ${data.not_drawn.constant.join(", ")}.`));
@@ -611,7 +1164,11 @@
       draw();
     }).observe(byId("chart"));
     darkQuery.addEventListener("change", draw);
-    window.addEventListener("beforeprint", () => { printing = true; draw(); });
+    window.addEventListener("beforeprint", () => {
+      printing = true;
+      for (const details of document.querySelectorAll("main details")) details.open = true;
+      draw();
+    });
     window.addEventListener("afterprint", () => { printing = false; draw(); });
   }
 
@@ -619,9 +1176,16 @@
   fillReadings();
   fillRanking();
   fillChart();
+  fillZoom();
+  fillOutliers();
+  fillRelations();
+  fillScatter();
+  fillFactors();
+  fillTheory();
   fillCells();
   fillEnergy();
   fillImages();
+  fillDevice();
   fillSensors();
   fillUnseen();
   fillNotes();

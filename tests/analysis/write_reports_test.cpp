@@ -56,14 +56,15 @@ TEST_F(WriteReports, WritesFourFilesAndNothingElse) {
 TEST_F(WriteReports, TakesThePicturesOfTheRun) {
   fs::create_directory(directory_ / "images");
   std::ofstream(directory_ / "images" / "dragon_view0_reference.png") << "foobar";
-  std::ofstream(directory_ / "images" / "dragon_view0_GRID_heat.png") << "barfoo";
+  std::ofstream(directory_ / "images" / "dragon_view0_GRID_heat.png") << "fooba";
   std::ofstream(directory_ / "images" / "dragon_view0_montage.png") << "barfoo";
   std::ofstream(directory_ / "images" / "notes.txt") << "no picture";
   write_reports({}, analyze({}), directory_);
   std::ifstream in(directory_ / "report.html");
   const std::string page{std::istreambuf_iterator<char>(in), {}};
-  // Reference images are shown, the others are named.
+  // Reference images and heat maps are shown, the others are named.
   EXPECT_THAT(page, AllOf(HasSubstr("Zm9vYmFy"), HasSubstr("dragon_view0_reference")));
+  EXPECT_THAT(page, HasSubstr("base64,Zm9vYmE="));
   EXPECT_THAT(page, AllOf(Not(HasSubstr("YmFyZm9v")), HasSubstr("dragon_view0_montage.png")));
   const json images = parse("report.json").at("images");
   ASSERT_EQ(images.size(), 3u);

@@ -98,6 +98,10 @@ TEST_F(Tracing, LeavesEverythingItPromises) {
   EXPECT_FALSE(fs::exists(out() / "run.sqlite-wal"));
   EXPECT_THAT(output.out, HasSubstr("BVH_FTB_DF"));
   EXPECT_THAT(output.out, HasSubstr((out() / "report.html").string()));
+  // The answer comes last: what could not be seen is its end.
+  const std::string last = output.out.substr(output.out.rfind('\n', output.out.size() - 2) + 1);
+  EXPECT_TRUE(last.starts_with("Not seen: ") || last.starts_with("Every kind of sensor delivered"))
+      << last;
   EXPECT_THAT(output.err, Not(HasSubstr("\033")));  // no terminal, no control codes
   EXPECT_THAT(output.err, HasSubstr("[1/3] teapot:2 view "));
 
