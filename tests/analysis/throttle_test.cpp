@@ -179,7 +179,8 @@ TEST(Throttling, AStopOfTheSamplerSaysForHowLongAllCpusStood) {
     series.t_ns.push_back(begin_ns + i * ms);
     series.value.push_back(80'000.0 * static_cast<double>(i / 100));
   }
-  const auto& spans = throttling_of(builder.run).sources.at(0).active.spans();
+  const Throttling found = throttling_of(builder.run);
+  const auto& spans = found.sources.at(0).active.spans();
   ASSERT_EQ(spans.size(), 99u);
   EXPECT_EQ(spans[5].end_ns, begin_ns + 600 * ms);
   EXPECT_NEAR(static_cast<double>(spans[5].end_ns - spans[5].begin_ns), 49e6, 1.1e6);
