@@ -467,8 +467,8 @@ void add_relations(const RunRecord& run, Analysis& analysis) {
   std::vector<bool> is_outlier;
   for (const TimedFrame& frame : frames) is_outlier.push_back(slow.contains(frame.frame_index));
   const std::vector<ChannelSignal> signals = channel_signals(run, frames);
-  Correlations found = correlate(frames, is_outlier,
-                                 throttled_frames(analysis.throttling, frames), signals);
+  Correlations found =
+      correlate(frames, is_outlier, throttled_frames(analysis.throttling, frames), signals);
   analysis.correlations = std::move(found.rows);
   analysis.coincidence = std::move(found.coincidence);
   analysis.factors =

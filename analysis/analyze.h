@@ -8,10 +8,10 @@
 #include <vector>
 
 #include "analysis/causes.h"
-#include "analysis/outliers.h"
 #include "analysis/correlate.h"
 #include "analysis/energy.h"
 #include "analysis/factors.h"
+#include "analysis/outliers.h"
 #include "analysis/self_check.h"
 #include "analysis/sensor_summary.h"
 #include "analysis/stats.h"
