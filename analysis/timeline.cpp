@@ -23,6 +23,7 @@ constexpr int work_pid = 1;
 constexpr int trials_tid = 1;
 constexpr int frames_tid = 2;
 constexpr int events_tid = 3;
+constexpr int first_throttle_tid = 10;
 
 int pid_of(Quantity quantity) { return 10 + static_cast<int>(quantity); }
 
@@ -192,7 +193,32 @@ json frame_args(const FrameRecord& frame) {
   return args;
 }
 
-void write_frames(const RunRecord& run, Writer& writer) {
+void add_outlier(const Outlier& outlier, json& args) {
+  args["outlier"] = true;
+  args["cause"] = to_string(outlier.attribution.cause);
+  args["confidence"] = outlier.attribution.confidence;
+  args["ratio"] = outlier.ratio;
+}
+
+void write_throttling(const RunRecord& run, const Throttling& throttling, Writer& writer) {
+  int tid = first_throttle_tid;
+  for (const ThrottleSource& source : throttling.sources) {
+    if (source.active.spans().empty()) continue;
+    const std::string& channel = run.channels[source.channel].name;
+    writer.name_thread(work_pid, tid, "throttled: " + channel);
+    const json args{{"channel", channel}, {"inferred", source.inferred}};
+    for (const Span& span : source.active.spans())
+      writer.slice(tid, std::string(to_string(source.reason)), "throttle", span.begin_ns,
+                   span.end_ns, args);
+    ++tid;
+  }
+}
+
+void write_frames(const RunRecord& run, const Analysis* analysis, Writer& writer) {
+  std::unordered_map<const FrameRecord*, const Outlier*> outliers;
+  if (analysis != nullptr)
+    for (const Outlier& outlier : analysis->outliers)
+      outliers.emplace(&run.frames[outlier.frame_index], &outlier);
   std::unordered_map<int64_t, std::string> algorithm;
   for (const Trial& trial : run.trials) algorithm.emplace(trial.id, trial.algorithm);
   std::vector<const FrameRecord*> frames;
@@ -203,6 +229,8 @@ void write_frames(const RunRecord& run, Writer& writer) {
   Track track;
   for (const FrameRecord* frame : frames) {
     json args = frame_args(*frame);
+    if (const auto slow = outliers.find(frame); slow != outliers.end())
+      add_outlier(*slow->second, args);
     const auto found = algorithm.find(frame->trial_id);
     std::string name = found == algorithm.end() ? "frame of no trial" : found->second;
     if (frame->phase != Phase::timed) name += fmt::format(" ({})", to_string(frame->phase));
@@ -276,7 +304,8 @@ json file_metadata(const RunFacts& facts, const Range& range, const TimelineConf
 
 }  // namespace
 
-void write_timeline(const RunRecord& run, std::ostream& out, const TimelineConfig& config) {
+void write_timeline(const RunRecord& run, std::ostream& out, const TimelineConfig& config,
+                    const Analysis* analysis) {
   std::vector<std::string> warnings;  // of the meta table; the reports show them
   const RunFacts facts = read_facts(run, warnings);
   const Range range = time_range(run, facts);
@@ -287,7 +316,8 @@ void write_timeline(const RunRecord& run, std::ostream& out, const TimelineConfi
   writer.name_thread(work_pid, events_tid, "events");
   write_trials(run, range, writer);
   write_command(facts, range, writer);
-  write_frames(run, writer);
+  write_frames(run, analysis, writer);
+  if (analysis != nullptr) write_throttling(run, analysis->throttling, writer);
   write_events(run, writer);
   write_channels(run, config, writer);
   writer.finish(file_metadata(facts, range, config));

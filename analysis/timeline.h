@@ -9,6 +9,7 @@
 #include <cstddef>
 #include <iosfwd>
 
+#include "analysis/analyze.h"
 #include "core/record.h"
 
 namespace energyprof::analysis {
@@ -23,6 +24,9 @@ struct TimelineConfig {
 
 /// Writes the timeline piece by piece. Slices on a track never overlap: one that would begin before
 /// the end of the one before it (clock errors can do that) begins there, and says so in its args.
-void write_timeline(const RunRecord& run, std::ostream& out, const TimelineConfig& config = {});
+/// With an `analysis`, outliers are named as such in their args, with their cause, and every source
+/// of throttling that was ever active has a track of its intervals.
+void write_timeline(const RunRecord& run, std::ostream& out, const TimelineConfig& config = {},
+                    const Analysis* analysis = nullptr);
 
 }  // namespace energyprof::analysis

@@ -119,7 +119,7 @@ std::vector<fs::path> write_reports(const RunRecord& run, const Analysis& analys
   const std::vector<ReportImage> images = read_images(directory / "images");
   std::vector<std::string> image_files;
   for (const ReportImage& image : images) image_files.push_back(image_file(image.title));
-  export_timeline(run, timeline_file, timeline);
+  export_timeline(run, timeline_file, timeline, &analysis);
   write_file(json_file, [&](std::ostream& out) {
     using nlohmann::json;
     out << report_json(run, analysis, image_files)
@@ -142,8 +142,9 @@ std::vector<fs::path> export_csv(const RunRecord& run, const fs::path& directory
   return {frames_file, samples_file};
 }
 
-void export_timeline(const RunRecord& run, const fs::path& file, const TimelineConfig& timeline) {
-  write_file(file, [&](std::ostream& out) { write_timeline(run, out, timeline); });
+void export_timeline(const RunRecord& run, const fs::path& file, const TimelineConfig& timeline,
+                     const Analysis* analysis) {
+  write_file(file, [&](std::ostream& out) { write_timeline(run, out, timeline, analysis); });
 }
 
 }  // namespace energyprof::analysis

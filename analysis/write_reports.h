@@ -24,6 +24,6 @@ std::vector<std::filesystem::path> export_csv(const RunRecord& run,
 
 /// Writes the timeline to `file`; as write_reports().
 void export_timeline(const RunRecord& run, const std::filesystem::path& file,
-                     const TimelineConfig& timeline = {});
+                     const TimelineConfig& timeline = {}, const Analysis* analysis = nullptr);
 
 }  // namespace energyprof::analysis

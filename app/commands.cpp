@@ -69,7 +69,8 @@ int export_command(const ExportOptions& options) {
     const fs::path file = options.out.empty() ? dir / "timeline.json" : fs::path(options.out);
     analysis::TimelineConfig config;
     config.full = options.full;
-    analysis::export_timeline(run, file, config);
+    const analysis::Analysis result = analysis::analyze(run);
+    analysis::export_timeline(run, file, config, &result);
     fmt::print("{}\n", file.string());
     return 0;
   }

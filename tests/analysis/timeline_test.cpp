@@ -16,6 +16,14 @@ namespace {
 using nlohmann::json;
 using planted::RunBuilder;
 
+/// The timeline with what the analysis found.
+json judged_timeline_of(const RunRecord& run) {
+  const Analysis analysis = analyze(run);
+  std::ostringstream out;
+  write_timeline(run, out, {}, &analysis);
+  return json::parse(out.str());
+}
+
 json timeline_of(const RunRecord& run, const TimelineConfig& config = {}) {
   std::ostringstream out;
   write_timeline(run, out, config);
@@ -192,6 +200,30 @@ TEST(Timeline, SurvivesNamesThatAreNotText) {
   builder.add_trial("a \"quoted\"\n\xff name", 0, "A", {1});
   const json timeline = timeline_of(builder.run);
   EXPECT_FALSE(events_of(timeline, "X").empty());
+}
+
+TEST(Timeline, NamesOutliersAndShowsWhenTheyWereThrottled) {
+  RunBuilder builder;
+  builder.add_trial("m", 0, "A", {10, 10, 10, 10, 10, 30, 10, 10, 10, 10});
+  builder.add_channel("i915.gt0.throttle.pl1", Quantity::throttle, Unit::count, Kind::flag,
+                      1'000'000, 200, [](std::size_t i) { return i >= 50 && i < 80 ? 1.0 : 0.0; });
+  const json timeline = judged_timeline_of(builder.run);
+  std::size_t outlier_count = 0;
+  std::size_t throttle_count = 0;
+  for (const json& slice : events_of(timeline, "X")) {
+    if (slice.at("args").contains("outlier")) {
+      ++outlier_count;
+      EXPECT_EQ(slice.at("args").at("frame"), builder.run.frames[5].frame);
+      EXPECT_TRUE(slice.at("args").contains("cause"));
+    }
+    if (slice.at("cat") == "throttle") {
+      ++throttle_count;
+      EXPECT_EQ(slice.at("name"), "power_sustained");
+      EXPECT_NEAR(slice.at("dur").get<double>(), 30'000, 1'100);
+    }
+  }
+  EXPECT_EQ(outlier_count, 1u);
+  EXPECT_EQ(throttle_count, 1u);
 }
 
 }  // namespace
