@@ -14,29 +14,6 @@ namespace {
 /// Power is not known across a longer gap between two readings.
 constexpr int64_t max_power_gap_polls = 5;
 
-/// Finite values by time, one per moment: the last.
-SampleSeries tidy(const SampleSeries& series) {
-  std::vector<std::size_t> order;
-  const std::size_t count = std::min(series.t_ns.size(), series.value.size());
-  for (std::size_t i = 0; i < count; ++i)
-    if (std::isfinite(series.value[i])) order.push_back(i);
-  const auto earlier = [&](std::size_t a, std::size_t b) {
-    return series.t_ns[a] < series.t_ns[b];
-  };
-  if (!std::is_sorted(order.begin(), order.end(), earlier))
-    std::stable_sort(order.begin(), order.end(), earlier);
-  SampleSeries result;
-  for (std::size_t i : order) {
-    if (!result.t_ns.empty() && result.t_ns.back() == series.t_ns[i]) {
-      result.value.back() = series.value[i];
-      continue;
-    }
-    result.t_ns.push_back(series.t_ns[i]);
-    result.value.push_back(series.value[i]);
-  }
-  return result;
-}
-
 int64_t median_gap(const std::vector<int64_t>& t_ns) {
   std::vector<int64_t> gaps;
   for (std::size_t i = 1; i < t_ns.size(); ++i) gaps.push_back(t_ns[i] - t_ns[i - 1]);

@@ -16,32 +16,6 @@ constexpr std::size_t min_update_count = 8;
 
 double seconds(int64_t duration_ns) { return static_cast<double>(duration_ns) * 1e-9; }
 
-/// `series` by time, one value a time, finite values only.
-SampleSeries tidy(const SampleSeries& series) {
-  const std::size_t count = std::min(series.t_ns.size(), series.value.size());
-  std::vector<std::size_t> order;
-  order.reserve(count);
-  for (std::size_t i = 0; i < count; ++i)
-    if (std::isfinite(series.value[i])) order.push_back(i);
-  const auto earlier = [&](std::size_t a, std::size_t b) {
-    return series.t_ns[a] < series.t_ns[b];
-  };
-  if (!std::is_sorted(order.begin(), order.end(), earlier))
-    std::stable_sort(order.begin(), order.end(), earlier);
-  SampleSeries result;
-  result.t_ns.reserve(order.size());
-  result.value.reserve(order.size());
-  for (const std::size_t i : order) {
-    if (!result.t_ns.empty() && result.t_ns.back() == series.t_ns[i]) {
-      result.value.back() = series.value[i];
-      continue;
-    }
-    result.t_ns.push_back(series.t_ns[i]);
-    result.value.push_back(series.value[i]);
-  }
-  return result;
-}
-
 /// The `share` quantile of `values`, one of them; nullopt of none.
 std::optional<int64_t> order_statistic(std::vector<int64_t> values, double share) {
   if (values.empty()) return std::nullopt;

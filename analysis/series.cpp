@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cassert>
+#include <cmath>
 #include <iterator>
 #include <numeric>
 #include <string_view>
@@ -214,6 +215,31 @@ Curve changes_only(const Curve& curve) {
     const bool last = i + 1 == curve.t_ns.size();
     if (i == 0 || last || curve.value[i] != curve.value[i - 1])
       append(result, curve.t_ns[i], curve.value[i]);
+  }
+  return result;
+}
+
+SampleSeries tidy(const SampleSeries& series) {
+  const std::size_t count = std::min(series.t_ns.size(), series.value.size());
+  std::vector<std::size_t> order;
+  order.reserve(count);
+  for (std::size_t i = 0; i < count; ++i)
+    if (std::isfinite(series.value[i])) order.push_back(i);
+  const auto earlier = [&](std::size_t a, std::size_t b) {
+    return series.t_ns[a] < series.t_ns[b];
+  };
+  if (!std::is_sorted(order.begin(), order.end(), earlier))
+    std::stable_sort(order.begin(), order.end(), earlier);
+  SampleSeries result;
+  result.t_ns.reserve(order.size());
+  result.value.reserve(order.size());
+  for (const std::size_t i : order) {
+    if (!result.t_ns.empty() && result.t_ns.back() == series.t_ns[i]) {
+      result.value.back() = series.value[i];
+      continue;
+    }
+    result.t_ns.push_back(series.t_ns[i]);
+    result.value.push_back(series.value[i]);
   }
   return result;
 }

@@ -72,4 +72,7 @@ Curve thin(const Curve& curve, std::size_t max_count);
 /// The points where the value changes and their last point: what a step curve needs.
 Curve changes_only(const Curve& curve);
 
+/// `series` by time, one value a time (the last), finite values only.
+SampleSeries tidy(const SampleSeries& series);
+
 }  // namespace energyprof::analysis
