@@ -275,19 +275,56 @@ class Judge {
     return source.active.share(window.begin_ns, window.end_ns);
   }
 
+  /// What the source that says most has to say of a case and a hypothesis.
+  struct Look {
+    double best = 0;  // likelihood ratio; 0: no source looked
+    Evidence evidence;
+    bool set = false;
+  };
+  using LooksByHypothesis = std::array<Look, hypothesis_count>;
+
+  /// A quota stops the work: what it took, beyond what it takes of every normal frame, must be the
+  /// time that was lost.
+  void look_at_quota(const ThrottleSource& source, std::vector<LooksByHypothesis>& looks) const {
+    std::vector<std::optional<double>> stopped_s(frames_.size());
+    for (std::size_t i = 0; i < frames_.size(); ++i)
+      if (source.known.share(frames_[i].begin_ns, frames_[i].end_ns) >= 0.5)
+        stopped_s[i] = source.active.seconds(frames_[i].begin_ns, frames_[i].end_ns);
+    const Reference reference(frames_, normal_, stopped_s);
+    Tail tail;
+    for (std::size_t i = 0; i < frames_.size(); ++i)
+      if (normal_[i] && stopped_s[i])
+        tail.add(*stopped_s[i] - reference.of(frames_[i]).value_or(0));
+    tail.sort();
+    for (std::size_t c = 0; c < cases_.size(); ++c) {
+      const Case& one = cases_[c];
+      const auto& stopped = stopped_s[one.slow->frame];
+      if (!stopped) continue;
+      const double expected_s = reference.of(*one.frame).value_or(0);
+      const double lost_s = *stopped - expected_s;
+      const bool set = lost_s > 0 && lost_s >= 0.5 * one.excess_s;
+      double ratio = denial;
+      if (set)
+        ratio = ratio_against(tail, lost_s);
+      else if (lost_s > 0.05 * one.excess_s || !seen_within(one, source))
+        ratio = 0.5;
+      Look& look = looks[c][quota];
+      if (ratio <= look.best) continue;
+      look = {ratio, {run_.channels[source.channel].name, *stopped, expected_s, "s"}, set};
+    }
+  }
+
   void look_at_throttling() {
-    struct Look {
-      double best = 0;  // likelihood ratio; 0: no source looked
-      Evidence evidence;
-      bool set = false;
-    };
-    // Per case and hypothesis the source that says most.
-    std::vector<std::array<Look, hypothesis_count>> looks(cases_.size());
+    std::vector<LooksByHypothesis> looks(cases_.size());
     std::vector<std::array<bool, hypothesis_count>> specific(cases_.size());
     for (auto& flags : specific) flags.fill(false);
     for (const ThrottleSource& source : throttling_.sources) {
       const auto hypothesis = hypothesis_of(source);
       if (!hypothesis || source.regime) continue;
+      if (source.quota) {
+        look_at_quota(source, looks);
+        continue;
+      }
       Tail tail;
       for (std::size_t i = 0; i < frames_.size(); ++i) {
         const TimedFrame& frame = frames_[i];
@@ -298,8 +335,7 @@ class Judge {
       const Channel& channel = run_.channels[source.channel];
       for (std::size_t c = 0; c < cases_.size(); ++c) {
         Case& one = cases_[c];
-        const Window window = source.quota ? Window{one.frame->begin_ns, one.frame->end_ns}
-                                           : window_of(one, source.poll_ns);
+        const Window window = window_of(one, source.poll_ns);
         if (source.known.share(window.begin_ns, window.end_ns) < 0.5) continue;
         double share = set_share(source, window);
         if (is_level(channel) && !source.inferred &&
@@ -308,12 +344,7 @@ class Judge {
           if (!read) continue;
           share = *read;
         }
-        // A quota stops the work: the time it took must be the time that was lost.
-        const double enough =
-            source.quota
-                ? 0.5 * one.excess_s /
-                      std::max((static_cast<double>(window.end_ns - window.begin_ns)) * 1e-9, 1e-12)
-                : 0.3;
+        constexpr double enough = 0.3;
         Look& look = looks[c][*hypothesis];
         const bool set = share >= enough && share > 0;
         double ratio = denial;

@@ -61,7 +61,8 @@ class Recording {
       gate.get();
       start();
     });
-    sensors_ = std::make_unique<Sensors>(options.root, config_, options.allow_msr);
+    sensors_ = std::make_unique<Sensors>(
+        options.root, config_, probe::Selection{.allow_msr = options.allow_msr, .program = true});
     create_run_dir(dir_);
     std::error_code ignored;
     fs::remove(dir_ / "images", ignored);  // there are no frames to picture

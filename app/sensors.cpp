@@ -15,8 +15,8 @@ namespace {
 // Reading the two clocks one after the other may take this long; a suspend takes longer.
 constexpr int64_t shortest_suspend_ns = 100 * ns_per_ms;
 
-/// The config's sources as a selection; a name that is no source is the config's fault.
-probe::Selection selection_of(const Config& config, bool allow_msr) {
+/// The selection with the config's sources; a name that is no source is the config's fault.
+probe::Selection selection_of(const Config& config, probe::Selection selection) {
   const std::vector<std::string> known = probe::source_names();
   const auto check = [&](const std::string& place, const std::string& name) {
     if (std::find(known.begin(), known.end(), name) == known.end())
@@ -26,9 +26,7 @@ probe::Selection selection_of(const Config& config, bool allow_msr) {
   for (size_t i = 0; i < config.sources.size(); ++i)
     check(fmt::format("sources/{}", i), config.sources[i]);
   for (const auto& [name, period_ns] : config.sampler_periods_ns) check("periods_ms", name);
-  probe::Selection selection;
   selection.sources = config.sources;
-  selection.allow_msr = allow_msr;
   return selection;
 }
 
@@ -71,8 +69,8 @@ std::vector<Event> SuspendWatch::take() {
   return std::exchange(events_, {});
 }
 
-Sensors::Sensors(const std::string& root, const Config& config, bool allow_msr)
-    : discovery_(probe::discover(probe::Root(root), selection_of(config, allow_msr))) {
+Sensors::Sensors(const std::string& root, const Config& config, const probe::Selection& selection)
+    : discovery_(probe::discover(probe::Root(root), selection_of(config, selection))) {
   probe::characterize(discovery_, probe::Root(root));
   make_sampler(config);
 }

@@ -38,7 +38,7 @@ class Sensors {
  public:
   /// Discovers the config's sources below `root`. Throws std::runtime_error when a quantity that
   /// the config requires cannot be sensed, UsageError for a source that does not exist.
-  Sensors(const std::string& root, const Config& config, bool allow_msr);
+  Sensors(const std::string& root, const Config& config, const probe::Selection& selection);
 
   [[nodiscard]] const std::vector<Channel>& channels() const { return channels_; }
   /// [{source, reason, fix}] as JSON text; bytes that are no UTF-8 are replaced.

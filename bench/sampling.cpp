@@ -1,10 +1,10 @@
 // What sampling costs beside a load that keeps every processor busy, and beside it, in the same run
 // and on the same files, what a shell loop and `perf stat -I` take for a sample:
 //
-//   sampling_bench tests/data/sysfs/intel-rplp-i915-laptop 10
+//   sampling_bench tests/data/sysfs/intel-rplp-i915-laptop 10 [COMMAND...]
 //
-// The machine's files are copied to tmpfs and read there. The load is one spinning thread for each
-// processor.
+// The machine's files are copied to tmpfs and read there. The load is the command, or one spinning
+// thread for each processor.
 #include <fmt/format.h>
 #include <signal.h>
 #include <stdlib.h>
@@ -35,10 +35,30 @@ namespace {
 constexpr size_t channel_limit = 40;
 constexpr double tick_rate_hz = 1000.0;
 
-/// Spins on every processor while it lives.
+/// Starts a command that says nothing. Call it before there are threads that hold locks.
+pid_t start(const std::vector<std::string>& command) {
+  std::fflush(stdout);
+  const pid_t child = fork();
+  if (child != 0) return child;
+  if (freopen("/dev/null", "w", stdout) == nullptr) _exit(126);
+  if (freopen("/dev/null", "w", stderr) == nullptr) _exit(126);
+  std::vector<char*> argv;
+  for (const std::string& word : command) argv.push_back(const_cast<char*>(word.c_str()));
+  argv.push_back(nullptr);
+  execvp(argv[0], argv.data());
+  _exit(127);
+}
+
+/// Keeps every processor busy while it lives.
 class Load {
  public:
-  Load() {
+  /// By a command, or without one by spinning.
+  explicit Load(const std::vector<std::string>& command) {
+    if (!command.empty()) {
+      child_ = start(command);
+      std::this_thread::sleep_for(std::chrono::seconds(3));  // until it is at work
+      return;
+    }
     for (unsigned i = 0; i < std::thread::hardware_concurrency(); ++i)
       threads_.emplace_back([this] {
         while (!stop_.load(std::memory_order_relaxed)) {
@@ -48,6 +68,13 @@ class Load {
   ~Load() {
     stop_ = true;
     for (std::thread& thread : threads_) thread.join();
+    if (child_ <= 0) return;
+    if (waitpid(child_, nullptr, WNOHANG) != 0) {
+      fmt::print("The load ended before the measurement did.\n");
+      return;
+    }
+    kill(child_, SIGKILL);
+    waitpid(child_, nullptr, 0);
   }
   Load(const Load&) = delete;
   Load& operator=(const Load&) = delete;
@@ -55,6 +82,7 @@ class Load {
  private:
   std::atomic<bool> stop_{false};
   std::vector<std::thread> threads_;
+  pid_t child_ = 0;
 };
 
 /// A copy of a machine's directory on tmpfs.
@@ -77,17 +105,7 @@ class Copy {
 
 /// CPU time of a command that is run for some seconds, then interrupted.
 int64_t cpu_ns_of(const std::vector<std::string>& command, double seconds) {
-  std::fflush(stdout);
-  const pid_t child = fork();
-  if (child == 0) {
-    if (freopen("/dev/null", "w", stdout) == nullptr) _exit(126);
-    if (freopen("/dev/null", "w", stderr) == nullptr) _exit(126);
-    std::vector<char*> argv;
-    for (const std::string& word : command) argv.push_back(const_cast<char*>(word.c_str()));
-    argv.push_back(nullptr);
-    execvp(argv[0], argv.data());
-    _exit(127);
-  }
+  const pid_t child = start(command);
   std::this_thread::sleep_for(std::chrono::duration<double>(seconds));
   kill(child, SIGINT);
   int status = 0;
@@ -109,7 +127,7 @@ void print_row(const std::string& who, double per_sample_us, double samples_per_
 
 int main(int argc, char** argv) {
   if (argc < 2) {
-    fmt::print(stderr, "usage: sampling_bench MACHINE [SECONDS]\n");
+    fmt::print(stderr, "usage: sampling_bench MACHINE [SECONDS [COMMAND...]]\n");
     return 2;
   }
   const double seconds = argc > 2 ? std::atof(argv[2]) : 10.0;
@@ -129,7 +147,8 @@ int main(int argc, char** argv) {
   config.rate_hz = tick_rate_hz;
   probe::Sampler sampler(found.sources, config);
   probe::Sampler::Stats stats;
-  const Load load;
+  const Load load(argc > 3 ? std::vector<std::string>(argv + 3, argv + argc)
+                           : std::vector<std::string>{});
   {
     std::vector<energyprof::Sample> samples;
     samples.reserve(size_t{1} << 20);

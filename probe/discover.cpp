@@ -25,6 +25,7 @@
 #include "probe/proc_stat.h"
 #include "probe/psi.h"
 #include "probe/raspberrypi.h"
+#include "probe/schedstat.h"
 #include "probe/thermal.h"
 #include "probe/thermal_throttle.h"
 #include "probe/v3d.h"
@@ -68,7 +69,8 @@ constexpr std::array rows{
     Row{"proc_stat", plain<discover_proc_stat>},
     Row{"psi", plain<discover_psi>},
     Row{"cgroup", plain<discover_cgroup>},
-    Row{"perf", plain<discover_perf_events>, true},
+    Row{"schedstat", discover_schedstat, true},
+    Row{"perf", discover_perf_events, true},
     Row{"uncore", plain<discover_uncore>, true},
 };
 // clang-format on

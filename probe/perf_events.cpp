@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 #include <perfmon/pfmlib_perf_event.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <utility>
@@ -12,6 +13,7 @@
 #include "probe/names.h"
 #include "probe/perf_pmu.h"
 #include "probe/text_file.h"
+#include "probe/thread_switch.h"
 
 namespace energyprof::probe {
 namespace {
@@ -38,23 +40,39 @@ constexpr std::array software_events{
 // Reading interrupts every CPU that runs a counted thread, once per event: not at every tick.
 constexpr int64_t perf_period_ns = 10 * ns_per_ms;
 
-// One descriptor for each channel; in front the hardware events, if there are any, and behind all
-// the share of the time in which the first of them was counted.
+// Counters of a thread are taken from the hardware and put back at each change of thread. On real
+// machines that takes 1 to 3 us for all of them; in a virtual machine whose host steps in at each
+// of the registers it can take hundreds, at a thousand ticks of the sampler a second.
+constexpr int64_t dearest_switch_ns = 5 * ns_per_us;
+
+// A channel's counters, one for each processor where those are counted and not threads.
+using Counters = std::vector<Counter>;
+
+// In front the hardware events, if there are any, and behind all the share of the time in which the
+// first of them was counted.
 class PerfSource final : public SensorSource {
  public:
-  PerfSource(std::vector<Channel> channels, std::vector<Counter> counters, bool has_hardware_events)
-      : SensorSource("perf", perf_period_ns, std::move(channels)),
-        counters_(std::move(counters)),
-        has_hardware_events_(has_hardware_events) {}
+  PerfSource(int64_t period_ns, std::vector<Channel> channels, std::vector<Counters> events,
+             bool are_hardware)
+      : SensorSource("perf", period_ns, std::move(channels)),
+        events_(std::move(events)),
+        are_hardware_(are_hardware) {}
 
   void poll(std::span<Reading> out) noexcept override {
-    for (size_t i = 0; i < counters_.size(); ++i) {
+    for (size_t i = 0; i < events_.size(); ++i) {
       const int64_t before_ns = now_ns();
-      const Counter::Count count = counters_[i].read();
+      Counter::Count sum;
+      for (const Counter& counter : events_[i]) {
+        const Counter::Count count = counter.read();
+        sum.value += count.value;
+        sum.enabled_ns += count.enabled_ns;
+        sum.running_ns += count.running_ns;
+        if (count.error != 0) sum.error = count.error;
+      }
       const int64_t width_ns = now_ns() - before_ns;
-      out[i] = {status_of(count.error), before_ns + width_ns / 2, static_cast<int64_t>(count.value),
-                width_ns, count.error};
-      if (i == 0 && has_hardware_events_) out.back() = running_ratio(count, out[0]);
+      out[i] = {status_of(sum.error), before_ns + width_ns / 2, static_cast<int64_t>(sum.value),
+                width_ns, sum.error};
+      if (i == 0 && are_hardware_) out.back() = running_ratio(sum, out[0]);
     }
   }
 
@@ -72,8 +90,8 @@ class PerfSource final : public SensorSource {
     return reading;
   }
 
-  std::vector<Counter> counters_;
-  bool has_hardware_events_;
+  std::vector<Counters> events_;
+  bool are_hardware_;
   Counter::Count last_;
 };
 
@@ -82,7 +100,7 @@ bool is_refusal(int error) { return error == EACCES || error == EPERM; }
 // What the kernel would not open, at which level of mistrust, and how to change that.
 struct Refusal {
   std::string names;
-  std::string why;
+  int error = 0;
   bool only_in_kernel = false;  // all of them
 };
 
@@ -91,7 +109,7 @@ Missing explain(const Root& root, const Refusal& refusal) {
       root.read_line("proc/sys/kernel/perf_event_paranoid").value_or("unknown");
   Missing missing{"perf",
                   fmt::format("cannot count {}: {}; kernel.perf_event_paranoid is {}",
-                              refusal.names, refusal.why, paranoid),
+                              refusal.names, errno_text(refusal.error), paranoid),
                   "sudo sysctl kernel.perf_event_paranoid=1"};
   // The kernel would allow it at this level: then a container's system call filter does not.
   if (parse_int(paranoid).value_or(3) <= (refusal.only_in_kernel ? 1 : 2))
@@ -99,17 +117,14 @@ Missing explain(const Root& root, const Refusal& refusal) {
   return missing;
 }
 
-}  // namespace
-
-namespace {
-
 // Opens events one by one and gathers what came of it.
 class Opening {
  public:
-  Opening(const Root& root, Discovery& discovery) : root_(root), discovery_(discovery) {}
+  /// On `cpus`, whatever runs there; on none: the calling thread and what it starts.
+  explicit Opening(std::vector<int> cpus = {}) : cpus_(std::move(cpus)) {}
 
-  // The libpfm4 event; with a unit, on cores of that kind only. Returns whether it counts.
-  bool add(const NamedEvent& event, const Pmu* pmu) {
+  /// The libpfm4 event; with a unit, on cores of that kind only. Returns whether it counts.
+  bool add(const NamedEvent& event, const Pmu* pmu, Discovery& discovery) {
     perf_event_attr attr{};
     attr.size = sizeof attr;
     pfm_perf_encode_arg_t encoding{};
@@ -118,7 +133,7 @@ class Opening {
     const int result = pfm_get_os_event_encoding(event.pfm_name, PFM_PLM0 | PFM_PLM3,
                                                  PFM_OS_PERF_EVENT, &encoding);
     if (result != PFM_SUCCESS) {
-      discovery_.missing.push_back(
+      discovery.missing.push_back(
           {"perf",
            fmt::format("libpfm4 does not know '{}': {}", event.pfm_name, pfm_strerror(result)),
            ""});
@@ -128,13 +143,11 @@ class Opening {
     // unit's type stands in its upper half.
     if (pmu != nullptr) attr.config |= static_cast<uint64_t>(pmu->type) << 32;
     CounterPlan plan{attr.type, {attr.config, attr.config1, attr.config2}, 0, -1, false};
-    int fd = Counter::open(plan);
-    if (is_refusal(-fd) && !event.only_in_kernel) {
-      plan.exclude_kernel = true;
-      fd = Counter::open(plan);
-    }
-    if (fd < 0) {
-      refuse(event, -fd);
+    Counters opened;
+    int error = cpus_.empty() ? open_for_threads(event, plan, opened)
+                              : open_on(pmu == nullptr ? cpus_ : pmu->cpus, plan, opened);
+    if (error != 0) {
+      refuse(event, error);
       return false;
     }
     Channel channel;
@@ -143,29 +156,75 @@ class Opening {
     channel.quantity = event.quantity;
     channel.unit = Unit::count;
     channel.kind = Kind::cumulative;
-    channel.origin =
-        fmt::format("{}{}", event.pfm_name, plan.exclude_kernel ? ", user mode only" : "");
-    channels.push_back(std::move(channel));
-    counters.emplace_back(fd);
+    channel.origin = event.pfm_name;
+    if (!cpus_.empty()) channel.origin += ", of everything that runs";
+    if (plan.exclude_kernel) channel.origin += ", user mode only";
+    channels_.push_back(std::move(channel));
+    events_.push_back(std::move(opened));
     return true;
   }
 
-  // One Missing for all that was refused, one for hardware events that do not exist here.
-  void explain_failures() {
-    if (!refusal_.names.empty()) discovery_.missing.push_back(explain(root_, refusal_));
+  [[nodiscard]] bool empty() const { return events_.empty(); }
+
+  /// One Missing for all that was refused, one for hardware events that do not exist here.
+  /// `condition` says why they were asked for in this way.
+  void explain_failures(const Root& root, const std::string& condition,
+                        Discovery& discovery) const {
+    if (!refusal_.names.empty() && cpus_.empty())
+      discovery.missing.push_back(explain(root, refusal_));
+    if (!refusal_.names.empty() && !cpus_.empty()) {
+      Missing missing = machine_wide_refusal(root, "perf", refusal_.names, refusal_.error);
+      missing.reason = condition + missing.reason;
+      discovery.missing.push_back(std::move(missing));
+    }
     if (!absent_.empty())
-      discovery_.missing.push_back(
+      discovery.missing.push_back(
           {"perf",
-           fmt::format("cannot count {}: {}; usual in a virtual machine, which has no hardware "
+           fmt::format("{}cannot count {}: {}; usual in a virtual machine, which has no hardware "
                        "counters",
-                       absent_, absent_why_),
+                       condition, absent_, errno_text(absent_error_)),
            ""});
   }
 
-  std::vector<Channel> channels;
-  std::vector<Counter> counters;
+  /// Adds what was opened as a source.
+  void finish(bool are_hardware, Discovery& discovery) {
+    if (empty()) return;
+    if (are_hardware) {
+      Channel ratio;
+      ratio.name = "perf.running_ratio";
+      ratio.quantity = Quantity::interference;
+      ratio.unit = Unit::ppm;
+      ratio.origin = "time_running / time_enabled of " + channels_.front().origin;
+      channels_.push_back(std::move(ratio));
+    }
+    const auto cpu_count = static_cast<int64_t>(std::max<size_t>(cpus_.size(), 1));
+    discovery.sources.push_back(std::make_unique<PerfSource>(
+        perf_period_ns * cpu_count, std::move(channels_), std::move(events_), are_hardware));
+  }
 
  private:
+  // Both return an errno, 0 when it counts.
+  static int open_for_threads(const NamedEvent& event, CounterPlan& plan, Counters& opened) {
+    int fd = Counter::open(plan);
+    if (is_refusal(-fd) && !event.only_in_kernel) {
+      plan.exclude_kernel = true;
+      fd = Counter::open(plan);
+    }
+    if (fd < 0) return -fd;
+    opened.emplace_back(fd);
+    return 0;
+  }
+  static int open_on(const std::vector<int>& cpus, CounterPlan plan, Counters& opened) {
+    plan.pid = -1;
+    for (const int cpu : cpus) {
+      plan.cpu = cpu;
+      const int fd = Counter::open(plan);
+      if (fd < 0) return -fd;
+      opened.emplace_back(fd);
+    }
+    return 0;
+  }
+
   void refuse(const NamedEvent& event, int error) {
     const auto append = [&](std::string& names) {
       names += fmt::format("{}'{}'", names.empty() ? "" : ", ", event.pfm_name);
@@ -174,54 +233,72 @@ class Opening {
       refusal_.only_in_kernel =
           event.only_in_kernel && (refusal_.names.empty() || refusal_.only_in_kernel);
       append(refusal_.names);
-      refusal_.why = errno_text(error);
+      refusal_.error = error;
     } else {
       append(absent_);
-      absent_why_ = errno_text(error);
+      absent_error_ = error;
     }
   }
 
-  const Root& root_;
-  Discovery& discovery_;
+  std::vector<int> cpus_;
+  std::vector<Channel> channels_;
+  std::vector<Counters> events_;
   Refusal refusal_;
   std::string absent_;
-  std::string absent_why_;
+  int absent_error_ = 0;
 };
 
-}  // namespace
-
-void discover_perf_events(const Root& root, Discovery& discovery) {
-  if (const int result = pfm_initialize(); result != PFM_SUCCESS) {
-    discovery.missing.push_back(
-        {"perf", fmt::format("libpfm4 does not start: {}", pfm_strerror(result)), ""});
-    add_process_usage(discovery);
-    return;
-  }
-  Opening opening(root, discovery);
+// The hardware events, of threads where that costs little and else of processors.
+void discover_hardware_events(const Root& root, Discovery& discovery) {
   std::vector<Pmu> kinds_of_cores;
   for (const char* name : {"cpu_core", "cpu_atom"})
     if (auto pmu = read_pmu(root, name)) kinds_of_cores.push_back(std::move(*pmu));
-  for (const NamedEvent& event : hardware_events) {
-    if (kinds_of_cores.empty()) opening.add(event, nullptr);
-    for (const Pmu& pmu : kinds_of_cores) opening.add(event, &pmu);
+  const auto open_all = [&](Opening& opening) {
+    for (const NamedEvent& event : hardware_events) {
+      if (kinds_of_cores.empty()) opening.add(event, nullptr, discovery);
+      for (const Pmu& pmu : kinds_of_cores) opening.add(event, &pmu, discovery);
+    }
+  };
+  const auto plain_ns = thread_switch_ns();
+  int64_t extra_ns = 0;
+  {
+    Opening of_threads;
+    open_all(of_threads);
+    if (plain_ns && !of_threads.empty()) extra_ns = thread_switch_ns().value_or(0) - *plain_ns;
+    if (extra_ns <= dearest_switch_ns) {
+      of_threads.explain_failures(root, "", discovery);
+      of_threads.finish(true, discovery);
+      return;
+    }
   }
-  const bool has_hardware_events = !opening.counters.empty();
+  auto cpus = parse_cpu_list(root.read_line("sys/devices/system/cpu/online").value_or(""));
+  Opening of_processors(std::move(cpus).value_or(std::vector<int>{0}));
+  open_all(of_processors);
+  of_processors.explain_failures(
+      root,
+      fmt::format("counting by thread would lengthen each change of thread by {} us here, and ",
+                  extra_ns / ns_per_us),
+      discovery);
+  of_processors.finish(true, discovery);
+}
+
+}  // namespace
+
+void discover_perf_events(const Root& root, const Selection& selection, Discovery& discovery) {
+  if (const int result = pfm_initialize(); result != PFM_SUCCESS) {
+    discovery.missing.push_back(
+        {"perf", fmt::format("libpfm4 does not start: {}", pfm_strerror(result)), ""});
+    add_process_usage(selection, discovery);
+    return;
+  }
+  discover_hardware_events(root, discovery);
+  Opening of_threads;
   bool sees_switches = false;
   for (const NamedEvent& event : software_events)
-    sees_switches = opening.add(event, nullptr) || sees_switches;
-  opening.explain_failures();
-  if (has_hardware_events) {
-    Channel ratio;
-    ratio.name = "perf.running_ratio";
-    ratio.quantity = Quantity::interference;
-    ratio.unit = Unit::ppm;
-    ratio.origin = "time_running / time_enabled of " + opening.channels.front().origin;
-    opening.channels.push_back(std::move(ratio));
-  }
-  if (!opening.channels.empty())
-    discovery.sources.push_back(std::make_unique<PerfSource>(
-        std::move(opening.channels), std::move(opening.counters), has_hardware_events));
-  if (!sees_switches) add_process_usage(discovery);
+    sees_switches = of_threads.add(event, nullptr, discovery) || sees_switches;
+  of_threads.explain_failures(root, "", discovery);
+  of_threads.finish(false, discovery);
+  if (!sees_switches) add_process_usage(selection, discovery);
 }
 
 }  // namespace energyprof::probe

@@ -15,16 +15,18 @@ namespace energyprof::probe {
 ///     events were counted; below 1,000,000 they shared counters, and too little was counted.
 ///     Counts are recorded as they are, never scaled up.
 /// Counted are the calling thread and all threads and processes it starts from then on, so that
-/// discovery belongs before the first of them. Events are found by their libpfm4 name; a build
-/// without libpfm4 reports them missing.
+/// discovery belongs before the first of them. Where hardware events of threads would lengthen each
+/// change of thread by more than 5 us (virtual machines), they are counted on all processors
+/// instead, whatever runs there; the channels' origin says so. Events are found by their libpfm4
+/// name; a build without libpfm4 reports them missing.
 ///
 /// Where the kernel refuses, process.context_switches and process.page_faults come from
-/// getrusage(): this process alone, not what it starts.
+/// getrusage(): this process alone, not what it starts; with Selection::program they are missing.
 ///
 /// They see what processors do: the memory traffic of a GPU passes them by.
-void discover_perf_events(const Root& root, Discovery& discovery);
+void discover_perf_events(const Root& root, const Selection& selection, Discovery& discovery);
 
 /// The fallback.
-void add_process_usage(Discovery& discovery);
+void add_process_usage(const Selection& selection, Discovery& discovery);
 
 }  // namespace energyprof::probe

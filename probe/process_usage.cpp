@@ -39,8 +39,12 @@ class UsageSource final : public SensorSource {
 
 }  // namespace
 
-void add_process_usage(Discovery& discovery) {
-  discovery.sources.push_back(std::make_unique<UsageSource>());
+void add_process_usage(const Selection& selection, Discovery& discovery) {
+  if (selection.program)
+    discovery.missing.push_back(
+        {"perf", "getrusage tells of energyprof itself, not of the program that is recorded", ""});
+  else
+    discovery.sources.push_back(std::make_unique<UsageSource>());
 }
 
 }  // namespace energyprof::probe

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <filesystem>
 
 #include <unistd.h>
@@ -124,6 +125,23 @@ TEST(Cause, IsAQuotaThatTookTheTime) {
   OneStretch stretch(20);
   stretch.counter("cgroup.cpu.throttled", Quantity::interference, Unit::microsecond, 500, 0);
   stretch.counter("psi.cpu.some", Quantity::interference, Unit::microsecond, 600, 5);
+  stretch.expect(Cause::throttle_other, "cgroup.cpu.throttled");
+}
+
+TEST(Cause, IsAQuotaThatStopsEveryFrameButThisOneMore) {
+  // Seven tenths of every frame are a stop at its end: of slow frames no larger share, but more.
+  OneStretch stretch(20);
+  const std::vector<FrameRecord>& frames = stretch.builder.run.frames;
+  stretch.builder.add_channel(
+      "cgroup.cpu.throttled", Quantity::interference, Unit::microsecond, Kind::cumulative, ms,
+      stretch.count, [&](std::size_t i) {
+        const int64_t t_ns = planted::begin_ns + static_cast<int64_t>(i) * ms;
+        double stopped_us = 0;
+        for (const FrameRecord& frame : frames)
+          if (frame.end_ns <= t_ns + ms)
+            stopped_us += 0.7e-3 * static_cast<double>(frame.end_ns - frame.begin_ns);
+        return std::floor(stopped_us);
+      });
   stretch.expect(Cause::throttle_other, "cgroup.cpu.throttled");
 }
 

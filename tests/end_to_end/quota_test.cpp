@@ -3,10 +3,12 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
-#include <sys/stat.h>
+#include <algorithm>
 #include <cerrno>
+#include <cmath>
 #include <cstring>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -81,16 +83,32 @@ class Quota : public testing::Test {
     GTEST_SKIP() << "no Vulkan device";
   }
 
-  /// A study of the teapot at 320x180: frames of about 10 ms on a CPU.
-  [[nodiscard]] std::vector<std::string> study(const fs::path& out) const {
+  /// A study of the teapot, `width` pixels wide and 9/16 as high.
+  [[nodiscard]] std::vector<std::string> study(const fs::path& out, int width) const {
     const fs::path config = dir_ / "config.json";
-    std::ofstream(config) << R"({
-      "name": "quota", "models": ["teapot"], "algorithms": ["BVH_FTB_DF", "BVH_FTB_BF"],
-      "views": [0],
-      "image": {"width": 320, "height": 180}, "frames": {"warmup": 4, "timed": 80},
-      "idle": {"before_s": 0, "between_s": 0, "after_s": 0}, "cooldown": {"max_s": 0}
-    })";
+    const json study{{"name", "quota"},
+                     {"models", {"teapot"}},
+                     {"algorithms", {"BVH_FTB_DF", "BVH_FTB_BF"}},
+                     {"views", {0}},
+                     {"image", {{"width", width}, {"height", width * 9 / 16}}},
+                     {"frames", {{"warmup", 4}, {"timed", 80}}},
+                     {"idle", {{"before_s", 0}, {"between_s", 0}, {"after_s", 0}}},
+                     {"cooldown", {{"max_s", 0}}},
+                     {"sampler", {{"self_check", false}}}};
+    std::ofstream(config) << study;
     return {ENERGYPROF_PROGRAM, "--config", config.string(), "--out", out.string(), "--quiet"};
+  }
+
+  /// A width of which frames take about 10 ms here, 320 at most: of frames as long as the quota's
+  /// period each would be stopped, and none be an outlier.
+  [[nodiscard]] int fitting_width() const {
+    constexpr int widest = 320;
+    const fs::path run = dir_ / "fitting";
+    EXPECT_EQ(test::run(study(run, widest)).code, 0);
+    const json report = json::parse(test::read_text(run / "report.json"));
+    const double frame_ms = report.at("cells").at(0).at("median_ms").get<double>();
+    const int width = static_cast<int>(widest * std::sqrt(10 / std::max(frame_ms, 10.0)));
+    return std::max(width / 16 * 16, 64);
   }
 
   /// Outliers of a run: those of at least twice the time, which are what a quota makes of frames of
@@ -125,9 +143,10 @@ TEST_F(Quota, ThrottlingIsNamedWhereItIsAndNowhereElse) {
   HalfCpu group;
   if (const std::string reason = group.make(); !reason.empty()) GTEST_SKIP() << reason;
 
-  const Output held = test::run(group.inside(study(dir_ / "held")));
+  const int width = fitting_width();
+  const Output held = test::run(group.inside(study(dir_ / "held", width)));
   ASSERT_EQ(held.code, 0) << held.err;
-  const Output freed = test::run(study(dir_ / "freed"));
+  const Output freed = test::run(study(dir_ / "freed", width));
   ASSERT_EQ(freed.code, 0) << freed.err;
 
   const Count with = outliers(dir_ / "held");

@@ -182,12 +182,22 @@ TEST(MachineCounters, SayWhatTheKernelWouldHaveToAllow) {
 
 TEST(ProcessUsage, CountsThePageFaultsOfThisProcess) {
   Discovery found;
-  add_process_usage(found);
+  add_process_usage({}, found);
   const int64_t before = poll_all(found)["process.page_faults"].value;
   // More than any allocator keeps.
   std::vector<char> memory(size_t{64} << 20, 1);
   EXPECT_GE(poll_all(found)["process.page_faults"].value - before, 16);
   EXPECT_EQ(memory[123], 1);
+}
+
+TEST(ProcessUsage, IsNotThatOfARecordedProgram) {
+  const Discovery found =
+      discover(Root(), Selection{.sources = {"schedstat", "perf"}, .program = true});
+  for (const std::string& name : names_of(found))
+    EXPECT_FALSE(name.starts_with("process.")) << name;
+  EXPECT_THAT(found.missing,
+              Contains(testing::AllOf(Field(&Missing::source, "schedstat"),
+                                      Field(&Missing::reason, HasSubstr("energyprof itself")))));
 }
 
 Selection with_msr() { return Selection{.sources = {"powercap", "msr"}, .allow_msr = true}; }

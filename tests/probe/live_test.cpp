@@ -212,6 +212,34 @@ TEST(Live, PressureRisesWithMoreThreadsThanProcessors) {
   EXPECT_GE(rise_us, wanted_us);
 }
 
+TEST(Live, WaitingForAProcessorIsCountedForEveryThread) {
+  const Discovery found = find("schedstat");
+  const std::string name = "process.cpu_wait";
+  if (channel_called(found, name).id == 0) GTEST_SKIP() << reason_of(found);
+  const int64_t before_ns = poll_all(found)[name].value;
+  std::atomic<bool> stop = false;
+  std::vector<std::jthread> threads;  // begin after the first poll
+  for (unsigned i = 0; i < 2 * std::max(1u, std::thread::hardware_concurrency()); ++i)
+    threads.emplace_back([&] {
+      while (!stop) continue;
+    });
+  int64_t last_ns = before_ns;
+  constexpr int64_t wanted_ns = 200 * ns_per_ms;
+  for (const int64_t end_ns = now_ns() + patience_ns;
+       last_ns - before_ns < wanted_ns && now_ns() < end_ns;) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    const Reading reading = poll_all(found)[name];
+    EXPECT_EQ(reading.status, PollStatus::ok);
+    EXPECT_GE(reading.value, last_ns);
+    last_ns = reading.value;
+  }
+  stop = true;
+  EXPECT_GE(last_ns - before_ns, wanted_ns);
+  threads.clear();
+  // Threads that ended take nothing of the sum with them.
+  EXPECT_GE(poll_all(found)[name].value, last_ns);
+}
+
 // The n-th number of the first line of /proc/stat, from 1.
 int64_t stat_ticks(int n) {
   std::ifstream file("/proc/stat");

@@ -1,0 +1,164 @@
+// Expects in proc/self/task/<tid>/schedstat three numbers: ns on a processor, ns ready to run but
+// waiting for one, number of turns.
+#include "probe/schedstat.h"
+
+#include <dirent.h>
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <charconv>
+#include <cstddef>
+#include <optional>
+#include <string_view>
+#include <utility>
+
+#include "core/clock.h"
+#include "probe/text_file.h"
+
+namespace energyprof::probe {
+namespace {
+
+constexpr const char* task_directory = "/proc/self/task";
+constexpr const char* own_file = "/proc/thread-self/schedstat";
+constexpr std::size_t max_thread_count = 256;
+constexpr int64_t schedstat_period_ns = 5 * ns_per_ms;
+constexpr int64_t new_thread_check_ns = 100 * ns_per_ms;
+
+// The second number.
+std::optional<int64_t> parse_wait_ns(std::string_view text) {
+  const std::size_t space = text.find(' ');
+  if (space == std::string_view::npos) return std::nullopt;
+  int64_t wait_ns = 0;
+  const auto [stop, error] =
+      std::from_chars(text.data() + space + 1, text.data() + text.size(), wait_ns);
+  if (error != std::errc{}) return std::nullopt;
+  return wait_ns;
+}
+
+struct Thread {
+  pid_t id = 0;
+  int fd = -1;
+  int64_t wait_ns = 0;  // as last read
+};
+
+Channel wait_channel() {
+  Channel channel;
+  channel.name = "process.cpu_wait";
+  channel.quantity = Quantity::interference;
+  channel.unit = Unit::nanosecond;
+  channel.kind = Kind::cumulative;
+  channel.origin = fmt::format("{}/*/schedstat: time waiting to run", task_directory);
+  return channel;
+}
+
+class SchedstatSource final : public SensorSource {
+ public:
+  SchedstatSource()
+      : SensorSource("schedstat", schedstat_period_ns, {wait_channel()}),
+        directory_(open(task_directory, O_RDONLY | O_DIRECTORY | O_CLOEXEC)) {}
+  ~SchedstatSource() override {
+    for (std::size_t i = 0; i < thread_count_; ++i) close(threads_[i].fd);
+    if (directory_ >= 0) close(directory_);
+  }
+
+  void poll(std::span<Reading> out) noexcept override {
+    const int64_t before_ns = now_ns();
+    if (before_ns >= next_check_ns_) {
+      find_new_threads();
+      next_check_ns_ = before_ns + new_thread_check_ns;
+    }
+    const auto self = static_cast<pid_t>(syscall(SYS_gettid));
+    for (std::size_t i = 0; i < thread_count_;) {
+      const std::optional<int64_t> wait_ns = read_wait_ns(threads_[i].fd);
+      if (!wait_ns) {  // it ended
+        close(threads_[i].fd);
+        threads_[i] = threads_[--thread_count_];
+        continue;
+      }
+      if (threads_[i].id != self) total_ns_ += std::max<int64_t>(*wait_ns - threads_[i].wait_ns, 0);
+      threads_[i].wait_ns = *wait_ns;
+      ++i;
+    }
+    const int64_t width_ns = now_ns() - before_ns;
+    out[0] = {PollStatus::ok, before_ns + width_ns / 2, total_ns_, width_ns, 0};
+  }
+
+ private:
+  static std::optional<int64_t> read_wait_ns(int fd) noexcept {
+    std::array<char, 96> buffer;
+    const ssize_t got = pread(fd, buffer.data(), buffer.size(), 0);
+    if (got <= 0) return std::nullopt;
+    return parse_wait_ns({buffer.data(), static_cast<std::size_t>(got)});
+  }
+
+  // By system calls of its own: readdir() allocates.
+  void find_new_threads() noexcept {
+    struct Entry {  // struct linux_dirent64
+      uint64_t inode;
+      int64_t offset;
+      uint16_t byte_count;
+      unsigned char type;
+      char name[1];
+    };
+    constexpr std::size_t name_offset = offsetof(Entry, name);
+    if (directory_ < 0 || lseek(directory_, 0, SEEK_SET) != 0) return;
+    alignas(Entry) std::array<char, 2048> buffer;
+    for (long got = 0;
+         (got = syscall(SYS_getdents64, directory_, buffer.data(), buffer.size())) > 0;) {
+      for (long at = 0; at < got;) {
+        const auto* entry = reinterpret_cast<const Entry*>(buffer.data() + at);
+        add(std::string_view(buffer.data() + at + name_offset));
+        at += entry->byte_count;
+      }
+    }
+    is_first_look_ = false;
+  }
+
+  void add(std::string_view name) noexcept {
+    pid_t id = 0;
+    const auto [stop, error] = std::from_chars(name.data(), name.data() + name.size(), id);
+    if (error != std::errc{} || stop != name.data() + name.size()) return;  // "." and ".."
+    const auto known = threads_.begin() + static_cast<std::ptrdiff_t>(thread_count_);
+    if (std::any_of(threads_.begin(), known, [&](const Thread& t) { return t.id == id; })) return;
+    if (thread_count_ == max_thread_count) return;
+    std::array<char, 64> path{};
+    fmt::format_to_n(path.data(), path.size() - 1, "{}/{}/schedstat", task_directory, id);
+    const int fd = open(path.data(), O_RDONLY | O_CLOEXEC);
+    if (fd < 0) return;
+    // What a thread waited before the first poll is not this run's; later ones are from it.
+    threads_[thread_count_++] = {id, fd, is_first_look_ ? read_wait_ns(fd).value_or(0) : 0};
+  }
+
+  int directory_;
+  std::array<Thread, max_thread_count> threads_;
+  std::size_t thread_count_ = 0;
+  int64_t next_check_ns_ = 0;
+  int64_t total_ns_ = 0;
+  bool is_first_look_ = true;
+};
+
+}  // namespace
+
+void discover_schedstat(const Root& root, const Selection& selection, Discovery& discovery) {
+  if (selection.program) {
+    discovery.missing.push_back(
+        {"schedstat", "it tells of energyprof itself, not of the program that is recorded", ""});
+    return;
+  }
+  const Root::Text text = root.read(own_file);
+  if (!text.text)
+    discovery.missing.push_back(
+        {"schedstat", fmt::format("cannot read '{}': {}", own_file, errno_text(text.error)), ""});
+  else if (!parse_wait_ns(*text.text))
+    discovery.missing.push_back(
+        {"schedstat", fmt::format("'{}' has no second number", own_file), ""});
+  else
+    discovery.sources.push_back(std::make_unique<SchedstatSource>());
+}
+
+}  // namespace energyprof::probe
