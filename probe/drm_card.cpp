@@ -72,6 +72,7 @@ std::vector<DrmCard> list_drm_cards(const Root& root) {
     const std::string device = card.path + "/device";
     card.driver = driver_of(root, card.path);
     card.gpu = gpu_of_device(root, device);
+    if (card.gpu.empty()) card.gpu = entry;  // a copy without its device
     cards.push_back(std::move(card));
   }
   return cards;
@@ -89,12 +90,16 @@ std::vector<NamedCard> drm_cards_of(const Root& root, std::string_view driver) {
 void report_absent_chip(const Root& root, const DrmCard& card, Discovery& discovery) {
   const std::string chips = card.path + "/device/hwmon";
   if (root.exists(chips)) return;
-  discovery.missing.push_back(
-      {card.driver,
-       fmt::format("no '{}': {} has no power or temperature of its own, as usual for an integrated "
-                   "GPU; its energy is RAPL's uncore, its temperature the package's",
-                   root.display(chips), card.gpu),
-       ""});
+  constexpr std::string_view integrated = "0000:00:02.0";
+  const std::string_view why =
+      card.gpu == integrated
+          ? "as usual for an integrated GPU; its energy is RAPL's uncore, its temperature the "
+            "package's"
+          : "which a card of its own has from Linux 6.2 on, with CONFIG_HWMON";
+  discovery.missing.push_back({card.driver,
+                               fmt::format("no '{}': {} has no power or temperature of its own, {}",
+                                           root.display(chips), card.gpu, why),
+                               ""});
 }
 
 std::optional<std::string> gpu_of_drm_node(const Root& root, int64_t major, int64_t minor) {

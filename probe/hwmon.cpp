@@ -60,13 +60,16 @@ constexpr std::array items{
 // What a sensor should stay below: the first of these that is set. Of power, what is enforced in
 // the long run: crit is a peak that no average ever comes near.
 constexpr std::array<std::string_view, 3> temperature_limits{"crit", "max", "emergency"};
-constexpr int64_t highest_limit_mc = 200'000;  // drives without a limit say 65261 C
+// No temperature is beyond these: inputs where nothing is connected are, and drives without a limit
+// say 65261 C.
+constexpr int64_t lowest_mc = -40'000;
+constexpr int64_t highest_mc = 200'000;
 constexpr std::array<std::string_view, 3> power_limits{"cap", "max", "crit"};
 
 // Chips whose every read costs a firmware call, a disk command or a transfer.
-constexpr std::array<std::string_view, 11> slow_chips{
-    "nvme",     "drivetemp", "acpitz",   "iwlwifi", "BAT", "dell_smm",
-    "thinkpad", "spd5118",   "applesmc", "scmi",    "scpi"};
+constexpr std::array<std::string_view, 12> slow_chips{
+    "nvme",     "drivetemp", "acpitz",   "iwlwifi", "BAT",  "dell_smm",
+    "thinkpad", "spd5118",   "applesmc", "scmi",    "scpi", "power_meter"};
 
 // Counts how often a Jetson's hardware throttled for its supply, and asks the firmware for it.
 constexpr std::string_view supply_chip = "soctherm_oc";
@@ -153,6 +156,16 @@ std::optional<int64_t> limit_of(const Root& root, const Chip& chip, const std::s
 
 bool is_switched_off(const Root& root, const Chip& chip, const std::string& sensor) {
   return root.read_line(fmt::format("{}/{}_enable", chip.path, sensor)) == "0";
+}
+
+// Why a temperature that can be read is none; empty: it is one.
+std::string why_no_temperature(const Root& root, const Chip& chip, const std::string& sensor,
+                               const CheckedFile& temp) {
+  if (root.read_line(fmt::format("{}/{}_fault", chip.path, sensor)) == "1")
+    return fmt::format("'{}' is of a sensor that says it is faulty", temp.file.path());
+  if (!temp.value || (*temp.value >= lowest_mc && *temp.value <= highest_mc)) return {};
+  return fmt::format("'{}' reads {} C: it is not measuring", temp.file.path(),
+                     static_cast<double>(*temp.value) / 1000.0);
 }
 
 // N of "<prefix>N_<item>".
@@ -398,13 +411,19 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
         discovery.missing.push_back({"hwmon", checked.problem, ""});
         continue;
       }
+      if (item.quantity == Quantity::temperature) {
+        if (std::string why = why_no_temperature(root, chip, sensor, checked); !why.empty()) {
+          discovery.missing.push_back({"hwmon", std::move(why), ""});
+          continue;
+        }
+      }
       Channel channel;
       channel.name = channel_name(chip, label_of(root, chip, sensor), sensor, item.suffix, taken);
       channel.quantity = item.quantity;
       channel.unit = item.unit;
       channel.kind = item.kind;
       if (item.quantity == Quantity::temperature)
-        channel.limit = limit_of(root, chip, sensor, temperature_limits, highest_limit_mc);
+        channel.limit = limit_of(root, chip, sensor, temperature_limits, highest_mc);
       if (item.quantity == Quantity::power)
         channel.limit = limit_of(root, chip, sensor, power_limits);
       has_power = has_power || item.quantity == Quantity::power;

@@ -73,9 +73,20 @@ TEST(DrmCard, IsKnownByItsFilesWhereACopyDoesNotNameTheDriver) {
   const auto cards = list_drm_cards(tree.root());
   ASSERT_THAT(cards, SizeIs(4));
   EXPECT_EQ(cards[0].driver, "i915");
+  EXPECT_EQ(cards[0].gpu, "card0");
   EXPECT_EQ(cards[1].driver, "xe");
   EXPECT_EQ(cards[2].driver, "amdgpu");
   EXPECT_EQ(cards[3].driver, "");
+}
+
+TEST(DrmCard, WithoutAChipIsNotTakenForAnIntegratedGpuByItsPlace) {
+  Discovery found;
+  const Tree tree;
+  report_absent_chip(tree.root(), {"sys/class/drm/card0", "i915", "0000:00:02.0"}, found);
+  report_absent_chip(tree.root(), {"sys/class/drm/card1", "i915", "0000:03:00.0"}, found);
+  ASSERT_THAT(found.missing, SizeIs(2));
+  EXPECT_THAT(found.missing[0].reason, testing::HasSubstr("integrated"));
+  EXPECT_THAT(found.missing[1].reason, testing::HasSubstr("Linux 6.2"));
 }
 
 TEST(DrmCard, IsCalledByItselfWhereItsDeviceIsNoLink) {

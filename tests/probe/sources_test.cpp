@@ -229,6 +229,21 @@ TEST(Hwmon, DoesNotTakeALimitThatNothingReaches) {
   EXPECT_EQ(channel_called(found, "hwmon.nvme.temp2.temp").limit, 81'850);
 }
 
+TEST(Hwmon, DoesNotBelieveInputsWhereNothingIsConnected) {
+  const Tree tree{{"sys/class/hwmon/hwmon0/name", "nct6775\n"},
+                  {"sys/class/hwmon/hwmon0/temp1_input", "-62000\n"},
+                  {"sys/class/hwmon/hwmon0/temp2_input", "216000\n"},
+                  {"sys/class/hwmon/hwmon0/temp3_input", "25000\n"},
+                  {"sys/class/hwmon/hwmon0/temp3_fault", "1\n"},
+                  {"sys/class/hwmon/hwmon0/temp4_input", "-5000\n"},
+                  {"sys/class/hwmon/hwmon0/temp4_fault", "0\n"}};
+  const Discovery found = discover_only(tree.root(), "hwmon");
+  EXPECT_THAT(names_of(found), ElementsAre("hwmon.nct6775.temp4.temp"));
+  EXPECT_THAT(found.missing, missing_because("-62 C", ""));
+  EXPECT_THAT(found.missing, missing_because("216 C", ""));
+  EXPECT_THAT(found.missing, missing_because("faulty", ""));
+}
+
 TEST(Hwmon, CountsHowOftenAJetsonThrottledForItsSupply) {
   const Tree tree{{"sys/class/hwmon/hwmon3/name", "soctherm_oc\n"},
                   {"sys/class/hwmon/hwmon3/oc1_event_cnt", "0\n"},
