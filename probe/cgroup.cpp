@@ -55,8 +55,9 @@ Memberships parse_memberships(const Root& root, std::string_view lines) {
     const std::string controllers(line.substr(first + 1, second - first - 1));
     const std::string group(line.substr(second + 1));
     if (has_cpu(controllers)) {
-      const std::string mount = first_existing(
-          root, {"sys/fs/cgroup/" + controllers, "sys/fs/cgroup/cpu,cpuacct", "sys/fs/cgroup/cpu"});
+      const std::string mount =
+          first_existing(root, {"sys/fs/cgroup/" + controllers, "sys/fs/cgroup/cpu,cpuacct",
+                                "sys/fs/cgroup/cpuacct,cpu", "sys/fs/cgroup/cpu"});
       if (!mount.empty()) found.v1 = Membership{mount, group, true};
     } else if (controllers.empty()) {
       const std::string mount = first_existing(root, {"sys/fs/cgroup/unified", "sys/fs/cgroup"});

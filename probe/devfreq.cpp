@@ -18,6 +18,7 @@
 // and with Qualcomm's own Adreno driver:
 //
 //   sys/class/kgsl/kgsl-3d0/{gpuclk,max_gpuclk,gpu_busy_percentage,temp}   Hz, Hz, "22 %", mC
+//   sys/class/kgsl/kgsl-3d0/gpu_available_frequencies                      in any order
 #include "probe/devfreq.h"
 
 #include <fmt/format.h>
@@ -64,8 +65,8 @@ std::optional<int64_t> take_int(std::string_view& text) {
   return value;
 }
 
-std::optional<int64_t> highest_available(const Root& root, const std::string& device) {
-  const std::string line = root.read_line(device + "/available_frequencies").value_or("");
+std::optional<int64_t> highest_listed(const Root& root, const std::string& path) {
+  const std::string line = root.read_line(path).value_or("");
   std::string_view rest = line;
   std::optional<int64_t> highest;
   while (const auto value = take_int(rest)) highest = std::max(highest.value_or(*value), *value);
@@ -183,7 +184,7 @@ Channel make_channel(std::string name, Quantity quantity, Unit unit, Kind kind,
 
 void discover_clocks(const Root& root, const std::string& device, const std::string& prefix,
                      const SourceTraits& traits, Discovery& discovery) {
-  const std::optional<int64_t> highest = highest_available(root, device);
+  const std::optional<int64_t> highest = highest_listed(root, device + "/available_frequencies");
   std::vector<Channel> channels;
   ClockSource::Files files;
   files.highest_hz = highest.value_or(0);
@@ -309,21 +310,24 @@ void discover_kgsl(const Root& root, Discovery& discovery) {
     const std::string prefix = "devfreq." + slug(entry);
     std::string gpu = gpu_of_device(root, device + "/device");
     const SourceTraits traits{.gpu = gpu.empty() ? entry : std::move(gpu)};
-    std::vector<FileChannel> clock;
+    std::vector<FileChannel> clocks;
+    std::vector<FileChannel> limits;
     std::vector<FileChannel> heat;
-    CheckedFile freq = check_int_file(root, device + "/gpuclk");
-    CheckedFile temp = check_int_file(root, device + "/temp");
-    if (freq.problem.empty()) {
-      clock.push_back(
-          {make_channel(prefix + ".freq", Quantity::frequency, Unit::hertz, Kind::gauge, {}),
-           std::move(freq.file)});
-      clock.back().channel.limit = check_int_file(root, device + "/max_gpuclk").value;
-    }
-    if (temp.problem.empty())
-      heat.push_back({make_channel(prefix + ".temp", Quantity::temperature, Unit::millicelsius,
-                                   Kind::gauge, {}),
-                      std::move(temp.file)});
-    add_file_source(discovery, "devfreq", clock_period_ns, std::move(clock), traits);
+    const auto add = [&](std::vector<FileChannel>& rows, const char* what, Quantity quantity,
+                         Unit unit, std::optional<int64_t> limit, const char* file) {
+      Channel channel =
+          make_channel(fmt::format("{}.{}", prefix, what), quantity, unit, Kind::gauge, {});
+      channel.limit = limit;
+      add_file_row(root, discovery, "devfreq", rows, std::move(channel),
+                   fmt::format("{}/{}", device, file));
+    };
+    const auto allowed = check_int_file(root, device + "/max_gpuclk").value;
+    const auto highest = highest_listed(root, device + "/gpu_available_frequencies");
+    add(clocks, "freq", Quantity::frequency, Unit::hertz, highest ? highest : allowed, "gpuclk");
+    add(limits, "max_freq", Quantity::limit, Unit::hertz, highest, "max_gpuclk");
+    add(heat, "temp", Quantity::temperature, Unit::millicelsius, std::nullopt, "temp");
+    add_file_source(discovery, "devfreq", clock_period_ns, std::move(clocks), traits);
+    add_file_source(discovery, "devfreq", clock_period_ns, std::move(limits), traits);
     add_file_source(discovery, "devfreq", stat_period_ns, std::move(heat), traits);
     const std::string load = device + "/gpu_busy_percentage";
     if (has_load(root, load)) add_load(root, load, prefix, Unit::percent, traits, discovery);

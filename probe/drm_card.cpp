@@ -9,6 +9,8 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
+#include <utility>
 
 #include "probe/names.h"
 
@@ -16,8 +18,6 @@ namespace energyprof::probe {
 namespace {
 
 constexpr std::string_view class_dir = "sys/class/drm";
-
-std::string last_part(const std::string& path) { return path.substr(path.rfind('/') + 1); }
 
 // The value after "<key>=" at the start of a line; empty if there is none.
 std::string uevent_value(const Root& root, const std::string& device, std::string_view key) {
@@ -32,11 +32,21 @@ std::string uevent_value(const Root& root, const std::string& device, std::strin
   return {};
 }
 
-std::string driver_of(const Root& root, const std::string& device) {
+std::string driver_of(const Root& root, const std::string& card) {
+  const std::string device = card + "/device";
   std::string driver = uevent_value(root, device, "DRIVER");
+  if (driver.empty()) driver = root.link_name(device + "/driver");
   if (!driver.empty()) return driver;
-  const Root::Resolved link = root.resolve(device + "/driver");
-  return link.error == 0 ? last_part(link.path) : "";
+  // Copies of sysfs may have neither; then by a file that no other driver has.
+  constexpr std::array<std::pair<std::string_view, std::string_view>, 5> signs{
+      {{"gt/gt0", "i915"},
+       {"gt_cur_freq_mhz", "i915"},
+       {"device/tile0", "xe"},
+       {"device/gpu_metrics", "amdgpu"},
+       {"device/pp_dpm_sclk", "amdgpu"}}};
+  for (const auto& [file, sign_of] : signs)
+    if (root.exists(fmt::format("{}/{}", card, file))) return std::string(sign_of);
+  return {};
 }
 
 }  // namespace
@@ -46,7 +56,12 @@ std::string gpu_of_device(const Root& root, std::string_view device_path) {
   std::string slot = uevent_value(root, device, "PCI_SLOT_NAME");
   if (!slot.empty()) return slot;
   const Root::Resolved resolved = root.resolve(device);
-  return resolved.error == 0 ? last_part(resolved.path) : "";
+  if (resolved.error != 0) return {};
+  std::string_view path = resolved.path;
+  // In copies where "device" is no link, it is called by what it belongs to: "card1".
+  constexpr std::string_view own_directory = "/device";
+  if (path.ends_with(own_directory)) path.remove_suffix(own_directory.size());
+  return std::string(path.substr(path.rfind('/') + 1));
 }
 
 std::vector<DrmCard> list_drm_cards(const Root& root) {
@@ -55,8 +70,9 @@ std::vector<DrmCard> list_drm_cards(const Root& root) {
     if (!is_numbered(entry, "card")) continue;
     DrmCard card{fmt::format("{}/{}", class_dir, entry), {}, {}};
     const std::string device = card.path + "/device";
-    card.driver = driver_of(root, device);
+    card.driver = driver_of(root, card.path);
     card.gpu = gpu_of_device(root, device);
+    if (card.gpu.empty()) card.gpu = entry;  // a copy without its device
     cards.push_back(std::move(card));
   }
   return cards;
@@ -74,12 +90,16 @@ std::vector<NamedCard> drm_cards_of(const Root& root, std::string_view driver) {
 void report_absent_chip(const Root& root, const DrmCard& card, Discovery& discovery) {
   const std::string chips = card.path + "/device/hwmon";
   if (root.exists(chips)) return;
-  discovery.missing.push_back(
-      {card.driver,
-       fmt::format("no '{}': {} has no power or temperature of its own, as usual for an integrated "
-                   "GPU; its energy is RAPL's uncore, its temperature the package's",
-                   root.display(chips), card.gpu),
-       ""});
+  constexpr std::string_view integrated = "0000:00:02.0";
+  const std::string_view why =
+      card.gpu == integrated
+          ? "as usual for an integrated GPU; its energy is RAPL's uncore, its temperature the "
+            "package's"
+          : "which a card of its own has from Linux 6.2 on, with CONFIG_HWMON";
+  discovery.missing.push_back({card.driver,
+                               fmt::format("no '{}': {} has no power or temperature of its own, {}",
+                                           root.display(chips), card.gpu, why),
+                               ""});
 }
 
 std::optional<std::string> gpu_of_drm_node(const Root& root, int64_t major, int64_t minor) {

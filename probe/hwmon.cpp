@@ -11,6 +11,8 @@
 //   sys/class/hwmon/hwmon1/{name,in1_label}         ina3221, VDD_IN
 //   sys/class/hwmon/hwmon1/{in1_input,curr1_input}  4976, 1240
 //
+//   sys/class/hwmon/hwmon3/{name,oc3_event_cnt}     soctherm_oc, 27390
+//
 // or, as JetPack up to 4 has it,
 //
 //   sys/bus/i2c/drivers/ina3221x/1-0040/iio:device0/{rail_name_0,in_power0_input}  VDD_IN, 6170
@@ -21,6 +23,7 @@
 #include <algorithm>
 #include <array>
 #include <charconv>
+#include <limits>
 #include <map>
 #include <set>
 #include <utility>
@@ -51,17 +54,25 @@ constexpr std::array items{
     Item{"power", "average", "power_average", Quantity::power, Unit::microwatt, Kind::average},
     Item{"energy", "input", "energy", Quantity::energy, Unit::microjoule, Kind::cumulative},
     Item{"freq", "input", "freq", Quantity::frequency, Unit::hertz, Kind::gauge},
+    Item{"oc", "event_cnt", "events", Quantity::throttle, Unit::count, Kind::cumulative},
 };
 
 // What a sensor should stay below: the first of these that is set. Of power, what is enforced in
 // the long run: crit is a peak that no average ever comes near.
 constexpr std::array<std::string_view, 3> temperature_limits{"crit", "max", "emergency"};
+// No temperature is beyond these: inputs where nothing is connected are, and drives without a limit
+// say 65261 C.
+constexpr int64_t lowest_mc = -40'000;
+constexpr int64_t highest_mc = 200'000;
 constexpr std::array<std::string_view, 3> power_limits{"cap", "max", "crit"};
 
 // Chips whose every read costs a firmware call, a disk command or a transfer.
-constexpr std::array<std::string_view, 11> slow_chips{
-    "nvme",     "drivetemp", "acpitz",   "iwlwifi", "BAT", "dell_smm",
-    "thinkpad", "spd5118",   "applesmc", "scmi",    "scpi"};
+constexpr std::array<std::string_view, 12> slow_chips{
+    "nvme",     "drivetemp", "acpitz",   "iwlwifi", "BAT",  "dell_smm",
+    "thinkpad", "spd5118",   "applesmc", "scmi",    "scpi", "power_meter"};
+
+// Counts how often a Jetson's hardware throttled for its supply, and asks the firmware for it.
+constexpr std::string_view supply_chip = "soctherm_oc";
 
 // Drivers of GPUs: what their chips say belongs to the GPU. A read may ask the GPU's firmware.
 constexpr std::array<std::string_view, 9> gpu_chips{
@@ -96,8 +107,8 @@ bool is_i2c_address(std::string_view device) {
 
 // The last part of the path of the chip's device; its entry in the class if that is not known.
 std::string device_of(const Root& root, const std::string& chip, const std::string& entry) {
-  const Root::Resolved device = root.resolve(chip + "/device");
-  if (device.error == 0) return device.path.substr(device.path.rfind('/') + 1);
+  const std::string link = root.link_name(chip + "/device");
+  if (!link.empty() && link != "..") return link;
   // Copies of sysfs may lack the link: <device>/hwmon/hwmon5 is where the chip lies.
   std::string path = root.resolve(chip).path;
   for (const std::string& below : {'/' + entry, std::string("/hwmon")}) {
@@ -115,13 +126,15 @@ std::vector<Chip> list_chips(const Root& root) {
     Chip chip{fmt::format("{}/{}", class_dir, entry), {}, {}, {}, {}};
     std::optional<std::string> name = root.read_line(chip.path + "/name");
     if (!name) name = root.read_line(chip.path + "/device/name");
-    if (!name) continue;
-    chip.name = *name;
-    chip.id = slug(*name);
+    if (!name && root.list(chip.path).empty()) continue;
     chip.device = device_of(root, chip.path, entry);
-    const bool is_gpu = std::find(gpu_chips.begin(), gpu_chips.end(), *name) != gpu_chips.end();
+    chip.name = name.value_or(chip.device);
+    chip.id = slug(chip.name);
+    const bool is_gpu = std::find(gpu_chips.begin(), gpu_chips.end(), chip.name) != gpu_chips.end();
     if (is_gpu) chip.traits.gpu = gpu_of_device(root, chip.path + "/device");
-    chip.traits.slow = is_gpu || is_i2c_address(chip.device) || is_costly(*name);
+    if (is_gpu && chip.traits.gpu.empty() && chip.device != entry) chip.traits.gpu = chip.device;
+    chip.traits.slow =
+        is_gpu || is_i2c_address(chip.device) || is_costly(chip.name) || chip.name == supply_chip;
     ++name_count[chip.id];
     chips.push_back(std::move(chip));
   }
@@ -132,16 +145,27 @@ std::vector<Chip> list_chips(const Root& root) {
 
 template <size_t N>
 std::optional<int64_t> limit_of(const Root& root, const Chip& chip, const std::string& sensor,
-                                const std::array<std::string_view, N>& limit_items) {
+                                const std::array<std::string_view, N>& limit_items,
+                                int64_t highest = std::numeric_limits<int64_t>::max()) {
   for (const std::string_view item : limit_items) {
     const auto limit = check_int_file(root, fmt::format("{}/{}_{}", chip.path, sensor, item)).value;
-    if (limit && *limit > 0) return limit;
+    if (limit && *limit > 0 && *limit <= highest) return limit;
   }
   return std::nullopt;
 }
 
 bool is_switched_off(const Root& root, const Chip& chip, const std::string& sensor) {
   return root.read_line(fmt::format("{}/{}_enable", chip.path, sensor)) == "0";
+}
+
+// Why a temperature that can be read is none; empty: it is one.
+std::string why_no_temperature(const Root& root, const Chip& chip, const std::string& sensor,
+                               const CheckedFile& temp) {
+  if (root.read_line(fmt::format("{}/{}_fault", chip.path, sensor)) == "1")
+    return fmt::format("'{}' is of a sensor that says it is faulty", temp.file.path());
+  if (!temp.value || (*temp.value >= lowest_mc && *temp.value <= highest_mc)) return {};
+  return fmt::format("'{}' reads {} C: it is not measuring", temp.file.path(),
+                     static_cast<double>(*temp.value) / 1000.0);
 }
 
 // N of "<prefix>N_<item>".
@@ -158,14 +182,19 @@ std::optional<int> item_number(std::string_view file, std::string_view prefix,
 }
 
 std::string label_of(const Root& root, const Chip& chip, const std::string& sensor) {
-  return slug(root.read_line(fmt::format("{}/{}_label", chip.path, sensor)).value_or(sensor));
+  // As NVIDIA's manual calls them; they have no labels.
+  if (chip.name == supply_chip && sensor == "oc1") return "undervoltage";
+  if (chip.name == supply_chip && sensor == "oc2") return "overcurrent_average";
+  if (chip.name == supply_chip && sensor == "oc3") return "overcurrent_peak";
+  const auto label = root.read_line(fmt::format("{}/{}_label", chip.path, sensor));
+  return has_name(label.value_or("")) ? slug(*label) : sensor;
 }
 
 // The label of current N, which some drivers give to voltage N only; else `otherwise`.
 std::string current_label(const Root& root, const Chip& chip, int number, std::string otherwise) {
   for (const char* prefix : {"curr", "in"})
     if (const auto label = root.read_line(fmt::format("{}/{}{}_label", chip.path, prefix, number)))
-      return slug(*label);
+      if (has_name(*label)) return slug(*label);
   return otherwise;
 }
 
@@ -382,13 +411,19 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
         discovery.missing.push_back({"hwmon", checked.problem, ""});
         continue;
       }
+      if (item.quantity == Quantity::temperature) {
+        if (std::string why = why_no_temperature(root, chip, sensor, checked); !why.empty()) {
+          discovery.missing.push_back({"hwmon", std::move(why), ""});
+          continue;
+        }
+      }
       Channel channel;
       channel.name = channel_name(chip, label_of(root, chip, sensor), sensor, item.suffix, taken);
       channel.quantity = item.quantity;
       channel.unit = item.unit;
       channel.kind = item.kind;
       if (item.quantity == Quantity::temperature)
-        channel.limit = limit_of(root, chip, sensor, temperature_limits);
+        channel.limit = limit_of(root, chip, sensor, temperature_limits, highest_mc);
       if (item.quantity == Quantity::power)
         channel.limit = limit_of(root, chip, sensor, power_limits);
       has_power = has_power || item.quantity == Quantity::power;

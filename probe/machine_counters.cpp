@@ -50,12 +50,6 @@ constexpr std::array rapl_events{
     RaplEvent{"energy-gpu", "uncore", true}, RaplEvent{"energy-ram", "dram", true},
     RaplEvent{"energy-psys", "psys", true}};
 
-bool has_pmu_like(const Root& root, std::string_view prefix) {
-  const std::vector<std::string> names = list_pmus(root);
-  return std::any_of(names.begin(), names.end(),
-                     [&](const std::string& name) { return name.starts_with(prefix); });
-}
-
 // The GPU that a unit is called after: "i915" is the integrated one, "xe_0000_03_00.0" says which.
 std::string gpu_of_pmu(std::string_view pmu, std::string_view driver) {
   if (pmu.size() <= driver.size()) return "0000:00:02.0";
@@ -131,6 +125,68 @@ std::optional<std::pair<std::string, Quantity>> xe_channel(const std::string& ev
   return std::pair{std::string("xe.pmu.gt0.c6"), Quantity::utilization};
 }
 
+// Adds the counters of one more memory controller to the channel.
+void add_traffic(std::vector<ChannelPlan>& plans, std::string_view channel, ChannelPlan plan) {
+  const auto known = std::find_if(plans.begin(), plans.end(), [&](const ChannelPlan& other) {
+    return other.channel.name == channel;
+  });
+  if (known == plans.end()) {
+    plan.channel.name = channel;
+    plan.channel.quantity = Quantity::memory_traffic;
+    plans.push_back(std::move(plan));
+  } else {
+    known->channel.origin += " + " + plan.channel.origin;
+    known->counters.insert(known->counters.end(), plan.counters.begin(), plan.counters.end());
+  }
+}
+
+// The traffic of all memory controllers, from one of the two kinds of their counters.
+std::vector<ChannelPlan> plan_controllers(const Root& root, bool free_running,
+                                          Discovery& discovery) {
+  struct Row {
+    std::string_view event;
+    std::string_view channel;
+  };
+  constexpr std::array rows{
+      Row{"data_reads", "uncore.imc.read"},     Row{"data_writes", "uncore.imc.write"},
+      Row{"data_read", "uncore.imc.read"},      Row{"data_write", "uncore.imc.write"},
+      Row{"read", "uncore.imc.read"},           Row{"write", "uncore.imc.write"},
+      Row{"cas_count_read", "uncore.imc.read"}, Row{"cas_count_write", "uncore.imc.write"},
+      Row{"gt_requests", "uncore.imc.gt"},      Row{"ia_requests", "uncore.imc.ia"},
+      Row{"io_requests", "uncore.imc.io"}};
+  std::vector<ChannelPlan> plans;
+  for (const std::string& name : list_pmus(root)) {
+    if (!name.starts_with("uncore_") || name.find("imc") == std::string::npos ||
+        (name.find("free_running") != std::string::npos) != free_running)
+      continue;
+    const auto pmu = read_pmu(root, name);
+    if (!pmu) continue;
+    for (const Row& row : rows) {
+      auto plan = plan_event(root, *pmu, row.event, "uncore", discovery);
+      if (!plan) continue;
+      add_traffic(plans, row.channel, std::move(*plan));
+    }
+  }
+  return plans;
+}
+
+// The same on AMD, Zen 4 and newer. The units list no events; perf's own tables do. A command is
+// for 64 bytes.
+std::vector<ChannelPlan> plan_amd_controllers(const Root& root) {
+  constexpr long double bytes_per_command = 64;
+  std::vector<ChannelPlan> plans;
+  for (const std::string& name : list_pmus(root)) {
+    if (!is_numbered(name, "amd_umc_")) continue;
+    const auto pmu = read_pmu(root, name);
+    if (!pmu) continue;
+    for (const auto& [channel, event] : {std::pair{"uncore.umc.read", "event=0x0a,rdwrmask=0x1"},
+                                         std::pair{"uncore.umc.write", "event=0x0a,rdwrmask=0x2"}})
+      if (auto plan = plan_unlisted_event(*pmu, event, Unit::byte, bytes_per_command))
+        add_traffic(plans, channel, std::move(*plan));
+  }
+  return plans;
+}
+
 void add_gpu_counters(const Root& root, Discovery& discovery, const std::string& source,
                       std::vector<GpuPlan> gpus, const std::string& why_none) {
   if (gpus.empty()) discovery.missing.push_back({source, why_none, ""});
@@ -194,49 +250,21 @@ void discover_perf_rapl(const Root& root, Discovery& discovery) {
 }
 
 std::vector<ChannelPlan> plan_uncore(const Root& root, Discovery& discovery) {
-  struct Row {
-    std::string_view event;
-    std::string_view channel;
-  };
-  constexpr std::array rows{
-      Row{"data_reads", "uncore.imc.read"},     Row{"data_writes", "uncore.imc.write"},
-      Row{"data_read", "uncore.imc.read"},      Row{"data_write", "uncore.imc.write"},
-      Row{"cas_count_read", "uncore.imc.read"}, Row{"cas_count_write", "uncore.imc.write"},
-      Row{"gt_requests", "uncore.imc.gt"},      Row{"ia_requests", "uncore.imc.ia"},
-      Row{"io_requests", "uncore.imc.io"}};
-  std::vector<ChannelPlan> plans;
-  const bool free_running = has_pmu_like(root, "uncore_imc_free_running");
-  for (const std::string& name : list_pmus(root)) {
-    if (!name.starts_with("uncore_") || name.find("imc") == std::string::npos) continue;
-    // The programmable counters of the same controllers count the same bytes.
-    if (free_running && name.find("free_running") == std::string::npos) continue;
-    const auto pmu = read_pmu(root, name);
-    if (!pmu) continue;
-    for (const Row& row : rows) {
-      auto plan = plan_event(root, *pmu, row.event, "uncore", discovery);
-      if (!plan) continue;
-      const auto known = std::find_if(plans.begin(), plans.end(), [&](const ChannelPlan& other) {
-        return other.channel.name == row.channel;
-      });
-      if (known == plans.end()) {
-        plan->channel.name = row.channel;
-        plan->channel.quantity = Quantity::memory_traffic;
-        plans.push_back(std::move(*plan));
-      } else {
-        known->channel.origin += " + " + plan->channel.origin;
-        known->counters.insert(known->counters.end(), plan->counters.begin(), plan->counters.end());
-      }
-    }
-  }
+  // The free-running and the programmable counters of a controller count the same bytes. On some
+  // servers the former have clocks only.
+  std::vector<ChannelPlan> plans = plan_controllers(root, true, discovery);
+  if (plans.empty()) plans = plan_controllers(root, false, discovery);
+  if (plans.empty()) plans = plan_amd_controllers(root);
   return plans;
 }
 
 void discover_uncore(const Root& root, Discovery& discovery) {
   std::vector<ChannelPlan> plans = plan_uncore(root, discovery);
   if (plans.empty())
-    discovery.missing.push_back(
-        {"uncore",
-         "no perf unit of a memory controller: not an Intel processor, or a virtual machine", ""});
+    discovery.missing.push_back({"uncore",
+                                 "no perf unit of a memory controller that counts its traffic: "
+                                 "usual in a virtual machine, on ARM and on AMD before Zen 4",
+                                 ""});
   add_counters(root, discovery, "uncore", counter_period_ns, std::move(plans), {});
 }
 

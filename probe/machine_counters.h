@@ -17,7 +17,8 @@ void discover_perf_rapl(const Root& root, Discovery& discovery);
 
 /// uncore.imc.read, .write: bytes between memory controllers and DRAM, summed over the controllers;
 /// up to Ice Lake also .gt, .ia and .io, what the GPU, the cores and devices asked for. What misses
-/// the caches of an integrated GPU passes here. Kernel: arch/x86/events/intel/uncore_snb.c.
+/// the caches of an integrated GPU passes here. uncore.umc.read, .write: the same on AMD, Zen 4 and
+/// newer. Kernel: arch/x86/events/intel/uncore_snb.c, arch/x86/events/amd/uncore.c.
 void discover_uncore(const Root& root, Discovery& discovery);
 
 /// i915.pmu.gt0.actual_cycles, .requested_cycles: GPU clock cycles, so that their rate is the mean

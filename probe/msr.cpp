@@ -137,7 +137,11 @@ class Gathering {
 
   // Adds the channel if its register is there and no other source gives it.
   Channel* add(std::string name, Quantity quantity, Unit unit, Kind kind, const Field& field) {
-    if (discovery_.has_channel(name) || !registers_->read(field.number).bits) return nullptr;
+    // With several packages others call a part of this one "rapl.package-0.dram.energy".
+    const bool is_known =
+        discovery_.has_channel(name) ||
+        (name.starts_with("rapl.") && discovery_.has_channel("rapl.package-0." + name.substr(5)));
+    if (is_known || !registers_->read(field.number).bits) return nullptr;
     Channel channel;
     channel.name = std::move(name);
     channel.quantity = quantity;
@@ -165,18 +169,19 @@ class Gathering {
 struct Domain {
   std::string_view name;
   uint32_t number;
+  int unit;  // one count is 2^-unit J
 };
 
 // Energy is low 32 bits x 2^-unit J. In nJ, rounded down, a value is right to 1 nJ, and the
 // register's 2^32 are 10^9 x 2^(32 - unit) nJ, a whole number: the channel wraps exactly.
-void add_energy(Gathering& gathering, std::span<const Domain> domains, int unit) {
+void add_energy(Gathering& gathering, std::span<const Domain> domains) {
   constexpr uint64_t nj_per_j = 1'000'000'000;
   for (const Domain& domain : domains) {
     Channel* const channel =
         gathering.add(fmt::format("rapl.{}.energy", domain.name), Quantity::energy, Unit::nanojoule,
-                      Kind::cumulative, {domain.number, 0, 0xffffffff, nj_per_j, unit});
+                      Kind::cumulative, {domain.number, 0, 0xffffffff, nj_per_j, domain.unit});
     if (channel != nullptr)
-      channel->wrap_at = static_cast<int64_t>(((uint64_t{1} << 32) * nj_per_j) >> unit) - 1;
+      channel->wrap_at = static_cast<int64_t>(((uint64_t{1} << 32) * nj_per_j) >> domain.unit) - 1;
   }
   gathering.finish(energy_period_ns);
 }
@@ -191,6 +196,10 @@ constexpr std::array perf_limit_reasons{
     Reason{0, "prochot"}, Reason{1, "thermal"},       Reason{4, "residency"},
     Reason{5, "ratl"},    Reason{6, "vr_thermalert"}, Reason{7, "vr_tdc"},
     Reason{8, "edp"},     Reason{10, "pl1"},          Reason{11, "pl2"}};
+// Register 0x690, before Skylake: bits 4 and 5 are others.
+constexpr std::array haswell_reasons{Reason{0, "prochot"},       Reason{1, "thermal"},
+                                     Reason{6, "vr_thermalert"}, Reason{8, "edp"},
+                                     Reason{10, "pl1"},          Reason{11, "pl2"}};
 constexpr std::array package_reasons{Reason{0, "thermal"}, Reason{2, "prochot"},
                                      Reason{4, "critical"}, Reason{10, "power_limit"}};
 
@@ -201,17 +210,47 @@ void add_flags(Gathering& gathering, std::string_view domain, uint32_t number,
                   Unit::count, Kind::flag, {number, reason.bit, 1});
 }
 
-void discover_intel(Gathering& gathering, uint64_t units) {
-  constexpr std::array domains{Domain{"package-0", 0x611}, Domain{"core", 0x639},
-                               Domain{"uncore", 0x641}, Domain{"dram", 0x619},
-                               Domain{"psys", 0x64d}};
-  add_energy(gathering, domains, static_cast<int>((units >> 8) & 0x1f));
+// "model : 143" of the first processor; 0 if it does not say.
+int64_t cpu_model(const Root& root) {
+  const std::string text = root.read("proc/cpuinfo").text.value_or("");
+  constexpr std::string_view key = "\nmodel\t";
+  const size_t line = text.find(key);
+  if (line == std::string::npos) return 0;
+  const size_t colon = text.find(':', line);
+  if (colon == std::string::npos) return 0;
+  return parse_int(text.substr(colon + 1, text.find('\n', colon) - colon - 1)).value_or(0);
+}
+
+// Servers count dram in 2^-16 J whatever the unit register says: Haswell, Broadwell, Skylake, Ice
+// Lake, Xeon Phi; and Sapphire and Emerald Rapids, which count psys in whole joules besides.
+struct ServerUnits {
+  bool is_dram_16 = false;
+  bool is_psys_whole = false;
+};
+ServerUnits server_units(int64_t model) {
+  constexpr std::array<int64_t, 7> dram_16{0x3f, 0x4f, 0x55, 0x6a, 0x6c, 0x57, 0x85};
+  const bool is_rapids = model == 0x8f || model == 0xcf;
+  const bool is_listed = std::find(dram_16.begin(), dram_16.end(), model) != dram_16.end();
+  return {is_listed || is_rapids, is_rapids};
+}
+
+void discover_intel(Gathering& gathering, Registers& registers, uint64_t units, int64_t model) {
+  const int unit = static_cast<int>((units >> 8) & 0x1f);
+  const ServerUnits server = server_units(model);
+  const std::array domains{Domain{"package-0", 0x611, unit}, Domain{"core", 0x639, unit},
+                           Domain{"uncore", 0x641, unit},
+                           Domain{"dram", 0x619, server.is_dram_16 ? 16 : unit},
+                           Domain{"psys", 0x64d, server.is_psys_whole ? 0 : unit}};
+  add_energy(gathering, domains);
   const int power_unit = static_cast<int>(units & 0xf);
   for (const auto& [name, first_bit] : {std::pair{"pl1", 0}, std::pair{"pl2", 32}})
     gathering.add(fmt::format("rapl.package-0.{}", name), Quantity::limit, Unit::microwatt,
                   Kind::gauge, {0x610, first_bit, 0x7fff, 1'000'000, power_unit, true});
   gathering.finish(limit_period_ns);
-  add_flags(gathering, "core", 0x64f, perf_limit_reasons);
+  if (registers.read(0x64f).bits)
+    add_flags(gathering, "core", 0x64f, perf_limit_reasons);
+  else
+    add_flags(gathering, "core", 0x690, haswell_reasons);
   add_flags(gathering, "gfx", 0x6b0, perf_limit_reasons);
   add_flags(gathering, "ring", 0x6b1, perf_limit_reasons);
   add_flags(gathering, "package", 0x1b1, package_reasons);
@@ -243,10 +282,12 @@ void discover_msr(const Root& root, const Selection& selection, Discovery& disco
   Gathering gathering(registers, discovery);
   const Registers::Value intel = registers->read(intel_unit);
   if (intel.bits) {
-    discover_intel(gathering, *intel.bits);
+    discover_intel(gathering, *registers, *intel.bits, cpu_model(root));
   } else if (const auto amd = registers->read(amd_unit); amd.bits) {
-    constexpr std::array domains{Domain{"package-0", 0xc001029b}, Domain{"core", 0xc001029a}};
-    add_energy(gathering, domains, static_cast<int>((*amd.bits >> 8) & 0x1f));
+    const int unit = static_cast<int>((*amd.bits >> 8) & 0x1f);
+    const std::array domains{Domain{"package-0", 0xc001029b, unit},
+                             Domain{"core", 0xc001029a, unit}};
+    add_energy(gathering, domains);
   } else {
     discovery.missing.push_back(explain(root, intel.error));
     return;

@@ -39,6 +39,12 @@ std::string slug(std::string_view text) {
   return result.empty() ? "unnamed" : result;
 }
 
+bool has_name(std::string_view text) {
+  return std::any_of(text.begin(), text.end(), [](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || is_digit(c);
+  });
+}
+
 std::string shown(std::string_view text) {
   constexpr size_t longest = 60;
   std::string line(text.substr(0, std::min(text.find('\n'), longest + 1)));

@@ -10,6 +10,9 @@ namespace energyprof::probe {
 /// of others becomes one '_', none at the ends; at most 64. "unnamed" if nothing is left.
 std::string slug(std::string_view text);
 
+/// Whether `text` has a letter or digit that slug() keeps.
+bool has_name(std::string_view text);
+
 /// What a file holds, as it may stand in a message: the first line, at most 60 characters of it,
 /// with '?' for what cannot be printed.
 std::string shown(std::string_view text);

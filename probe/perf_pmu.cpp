@@ -109,6 +109,24 @@ Conversion conversion_of(std::string_view unit, long double scale) {
   return {Unit::count, scale};
 }
 
+// A channel of one event on each of the unit's CPUs.
+ChannelPlan plan_code(const Pmu& pmu, std::string_view event, const EventCode& code,
+                      const Conversion& conversion) {
+  ChannelPlan plan;
+  plan.channel.unit = conversion.unit;
+  plan.channel.kind = Kind::cumulative;
+  plan.channel.origin = fmt::format("perf {}/{}/", pmu.name, event);
+  plan.factor = conversion.factor;
+  CounterPlan counter;
+  counter.type = pmu.type;
+  counter.config = code.config;
+  for (const int cpu : pmu.cpus) {
+    counter.cpu = cpu;
+    plan.counters.push_back(counter);
+  }
+  return plan;
+}
+
 // Channels of counters, each the sum of its own.
 class CounterSource final : public SensorSource {
  public:
@@ -238,19 +256,14 @@ std::optional<ChannelPlan> plan_event(const Root& root, const Pmu& pmu, std::str
     return std::nullopt;
   }
   const Conversion conversion = conversion_of(root.read_line(path + ".unit").value_or(""), scale);
-  ChannelPlan plan;
-  plan.channel.unit = conversion.unit;
-  plan.channel.kind = Kind::cumulative;
-  plan.channel.origin = fmt::format("perf {}/{}/", pmu.name, event);
-  plan.factor = conversion.factor;
-  CounterPlan counter;
-  counter.type = pmu.type;
-  counter.config = code.config;
-  for (const int cpu : pmu.cpus) {
-    counter.cpu = cpu;
-    plan.counters.push_back(counter);
-  }
-  return plan;
+  return plan_code(pmu, event, code, conversion);
+}
+
+std::optional<ChannelPlan> plan_unlisted_event(const Pmu& pmu, std::string_view event, Unit unit,
+                                               long double factor) {
+  const EventCode code = encode_event(event, pmu.formats);
+  if (!code.problem.empty()) return std::nullopt;
+  return plan_code(pmu, event, code, {unit, factor});
 }
 
 int Counter::open(const CounterPlan& plan) {

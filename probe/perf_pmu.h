@@ -65,6 +65,11 @@ struct ChannelPlan {
 std::optional<ChannelPlan> plan_event(const Root& root, const Pmu& pmu, std::string_view event,
                                       std::string_view source, Discovery& discovery);
 
+/// The same for an event that the unit does not list, given as `event` would hold it, each count
+/// worth `factor` in `unit`. nullopt if the unit's formats do not take it.
+std::optional<ChannelPlan> plan_unlisted_event(const Pmu& pmu, std::string_view event, Unit unit,
+                                               long double factor);
+
 /// One open counter.
 class Counter {
  public:

@@ -65,24 +65,33 @@ struct Listing {
   std::string hidden;  // a zone that is listed but whose directory cannot be reached
 };
 
+// Adds the zones in `directory` and below it. The class has links to all of them; copies may have
+// only where they lie, parts inside their zone and zones inside their control.
+void list_zones_in(const Root& root, const std::string& directory, int depth, Listing& listing) {
+  for (const std::string& entry : root.list(directory)) {
+    if (!entry.starts_with("intel-rapl")) continue;
+    const std::string path = fmt::format("{}/{}", directory, entry);
+    const size_t colon = std::min(entry.find(':'), entry.size());
+    Zone zone{path, entry.substr(0, colon), entry.substr(std::min(colon + 1, entry.size())), {}};
+    const bool is_known = std::any_of(
+        listing.zones.begin(), listing.zones.end(),
+        [&](const Zone& known) { return known.control == zone.control && known.id == zone.id; });
+    if (is_zone_id(zone.id) && !is_known) {
+      if (const auto name = root.read_line(path + "/name")) {
+        zone.name = slug(*name);
+        listing.zones.push_back(std::move(zone));
+      } else {
+        listing.hidden = path;
+      }
+    }
+    if (depth > 0) list_zones_in(root, path, depth - 1, listing);
+  }
+}
+
 Listing list_zones(const Root& root) {
   Listing listing;
-  for (const std::string& entry : root.list(class_dir)) {
-    const size_t colon = entry.find(':');
-    if (!entry.starts_with("intel-rapl") || colon == std::string::npos) continue;
-    Zone zone{fmt::format("{}/{}", class_dir, entry),
-              entry.substr(0, colon),
-              entry.substr(colon + 1),
-              {}};
-    if (!is_zone_id(zone.id)) continue;
-    const std::optional<std::string> name = root.read_line(zone.path + "/name");
-    if (!name) {
-      listing.hidden = zone.path;
-      continue;
-    }
-    zone.name = slug(*name);
-    listing.zones.push_back(std::move(zone));
-  }
+  for (const int depth : {0, 2})  // the class's own links first
+    list_zones_in(root, std::string(class_dir), depth, listing);
   std::stable_sort(listing.zones.begin(), listing.zones.end(),
                    [](const Zone& a, const Zone& b) { return rank(a.control) < rank(b.control); });
   return listing;

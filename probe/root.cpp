@@ -20,7 +20,7 @@
 namespace energyprof::probe {
 namespace {
 
-constexpr int max_nested_links = 40;  // as the kernel's own limit
+constexpr int max_links = 40;  // in one path, as in the kernel
 constexpr size_t max_text_bytes = size_t{64} << 10;
 
 std::vector<std::string_view> split_path(std::string_view path) {
@@ -34,7 +34,8 @@ std::vector<std::string_view> split_path(std::string_view path) {
 }
 
 Root::Text read_whole(const std::string& host_path) {
-  const int fd = open(host_path.c_str(), O_RDONLY | O_CLOEXEC);
+  // O_NONBLOCK: a pipe below a --root would be waited for.
+  const int fd = open(host_path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
   if (fd < 0) return {std::nullopt, errno};
   std::string text;
   std::array<char, 4096> chunk{};
@@ -97,8 +98,7 @@ std::string Root::host_path(const Components& components) const {
 }
 
 // Follows `path` from the directory `at`, which becomes where it leads. Returns errno.
-int Root::walk(Components& at, std::string_view path, int budget) const {
-  if (budget == 0) return ELOOP;
+int Root::walk(Components& at, std::string_view path, int& budget) const {
   if (path.starts_with('/')) at.clear();
   const std::vector<std::string_view> parts = split_path(path);
   for (size_t i = 0; i < parts.size(); ++i) {
@@ -120,7 +120,7 @@ int Root::walk(Components& at, std::string_view path, int budget) const {
       target = link_text(here, info.st_size, last);
     }
     if (target) {
-      const int error = walk(target_at, *target, budget - 1);
+      const int error = budget-- > 0 ? walk(target_at, *target, budget) : ELOOP;
       if (error == 0)
         at = std::move(target_at);
       else if (S_ISLNK(info.st_mode))
@@ -136,8 +136,24 @@ int Root::walk(Components& at, std::string_view path, int budget) const {
 
 Root::Resolved Root::resolve(std::string_view path) const {
   Components at;
-  const int error = walk(at, path, max_nested_links);
+  int budget = max_links;
+  const int error = walk(at, path, budget);
   return {host_path(at), error};
+}
+
+std::string Root::link_name(std::string_view path) const {
+  const size_t slash = path.rfind('/');
+  const Resolved parent = resolve(path.substr(0, slash == std::string_view::npos ? 0 : slash));
+  if (parent.error != 0) return {};
+  const std::string here = fmt::format("{}/{}", parent.path, path.substr(slash + 1));
+  struct stat info {};
+  if (lstat(here.c_str(), &info) != 0) return {};
+  std::optional<std::string> target;
+  if (S_ISLNK(info.st_mode))
+    target = link_target(here);
+  else if (!is_host() && S_ISREG(info.st_mode))
+    target = link_text(here, info.st_size, true);
+  return target ? target->substr(target->rfind('/') + 1) : "";
 }
 
 std::vector<std::string> Root::list(std::string_view path) const {

@@ -32,6 +32,9 @@ class Root {
   };
   [[nodiscard]] Resolved resolve(std::string_view path) const;
   [[nodiscard]] bool exists(std::string_view path) const { return resolve(path).error == 0; }
+  /// The last part of where a link points, be it there or not: copies of sysfs may lack what their
+  /// links lead to. Empty if `path` is no link.
+  [[nodiscard]] std::string link_name(std::string_view path) const;
   /// Names in a directory, one level, in natural order, hidden ones left out; empty if unreadable.
   [[nodiscard]] std::vector<std::string> list(std::string_view path) const;
 
@@ -51,7 +54,7 @@ class Root {
 
  private:
   using Components = std::vector<std::string>;
-  int walk(Components& at, std::string_view path, int budget) const;
+  int walk(Components& at, std::string_view path, int& budget) const;
   std::string host_path(const Components& components) const;
 
   std::string directory_;  ///< canonical; empty for "/"

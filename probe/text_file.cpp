@@ -98,7 +98,8 @@ TextFile::Read TextFile::read(std::span<char> buffer) noexcept {
   ssize_t got = 0;
   if (fd_ >= 0 && may_be_replaced_ && was_replaced(before_ns)) close(std::exchange(fd_, -1));
   // O_NOFOLLOW: all links were followed inside the root already; a new one could lead out of it.
-  if (fd_ < 0) fd_ = open(host_path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW);
+  // O_NONBLOCK: a pipe below a --root would be waited for.
+  if (fd_ < 0) fd_ = open(host_path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
   if (fd_ < 0) {
     error = errno;
   } else {

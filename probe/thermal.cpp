@@ -118,6 +118,9 @@ Missing explain(const Root& root, const Device& zone, const CheckedFile& temp) {
   if (zone.type == "INT3400 Thermal")
     missing.reason = fmt::format("'{}' ({}) is a policy, not a sensor: its reading is a constant",
                                  temp.file.path(), shown(zone.type));
+  else if (zone.type == "PMIC-Die")  // of Jetsons: 100 or 50 C for ever
+    missing.reason = fmt::format("'{}' ({}) is no sensor: its reading is a constant",
+                                 temp.file.path(), shown(zone.type));
   else if (!temp.problem.empty())
     missing.reason = temp.problem;
   else if (temp.value && !is_measured(*temp.value))
@@ -159,11 +162,11 @@ size_t discover_zones(const Root& root, Discovery& discovery) {
   return zones.size();
 }
 
-// Cooling devices that do not slow a processor down: fans and displays; and settings, which stay
-// above 0 while nothing is throttled.
+// Cooling devices that do not slow a processor down: fans, displays, chargers and radios; and
+// settings, which stay above 0 while nothing is throttled.
 bool throttles(const std::string& id) {
-  constexpr std::array<std::string_view, 5> others{"fan", "lcd", "backlight", "tcc_offset",
-                                                   "charger"};
+  constexpr std::array<std::string_view, 9> others{
+      "fan", "lcd", "backlight", "tcc_offset", "charger", "wifi", "wlan", "ath1", "mt7"};
   return std::none_of(others.begin(), others.end(),
                       [&](std::string_view other) { return id.find(other) != std::string::npos; });
 }

@@ -142,6 +142,21 @@ TEST(Devfreq, ReadsQualcommsOwnDriver) {
   EXPECT_THAT(found.missing, IsEmpty());
 }
 
+TEST(Devfreq, SeesWhenQualcommsOwnDriverMayNotGoAsHighAsItCould) {
+  const std::string kgsl = "sys/class/kgsl/kgsl-3d0/";
+  const Tree tree{{kgsl + "gpuclk", "257000000\n"},
+                  {kgsl + "max_gpuclk", "414000000\n"},
+                  {kgsl + "gpu_available_frequencies", "257000000 710000000 414000000 \n"},
+                  {kgsl + "temp", "unknown\n"}};
+  const Discovery found = find(tree.root(), "devfreq");
+  EXPECT_EQ(poll_all(found)["devfreq.kgsl-3d0.max_freq"].value, 414'000'000);
+  const Channel max = channel_called(found, "devfreq.kgsl-3d0.max_freq");
+  EXPECT_EQ(max.quantity, Quantity::limit);
+  EXPECT_EQ(max.limit, 710'000'000);
+  EXPECT_EQ(channel_called(found, "devfreq.kgsl-3d0.freq").limit, 710'000'000);
+  EXPECT_THAT(found.missing, missing_because("no integer"));
+}
+
 TEST(Devfreq, FollowsATableWhoseRowsChange) {
   const std::string head = "     From  :   To\n           : 100 200   time(ms)\n";
   const Tree tree{{mali + "cur_freq", "100\n"},

@@ -143,6 +143,64 @@ TEST(Uncore, TellsTheGpusRequestsApartWhereTheControllerDoes) {
   EXPECT_EQ(plans[0].channel.name, "uncore.imc.gt");
 }
 
+TEST(Uncore, TakesTheProgrammableCountersWhereTheFreeRunningOnesCountNoTraffic) {
+  const std::string units = "sys/bus/event_source/devices/";
+  const std::string clocks = units + "uncore_imc_free_running_0/";  // as on Sapphire Rapids
+  const std::string commands = units + "uncore_imc_3/";
+  const Tree tree{{clocks + "type", "30\n"},
+                  {clocks + "format/event", "config:0-7\n"},
+                  {clocks + "events/dclk", "event=0xff\n"},
+                  {commands + "type", "23\n"},
+                  {commands + "cpumask", "0,56\n"},
+                  {commands + "format/event", "config:0-7\n"},
+                  {commands + "format/umask", "config:8-15\n"},
+                  {commands + "events/cas_count_read", "event=0x05,umask=0xcf\n"},
+                  {commands + "events/cas_count_read.scale", "6.103515625e-5\n"},
+                  {commands + "events/cas_count_read.unit", "MiB\n"}};
+  Discovery found;
+  const std::vector<ChannelPlan> plans = plan_uncore(tree.root(), found);
+  ASSERT_THAT(plans, SizeIs(1));
+  EXPECT_EQ(plans[0].channel.name, "uncore.imc.read");
+  EXPECT_EQ(plans[0].counters[0].config[0], 0xcf05u);
+  EXPECT_THAT(plans[0].counters, SizeIs(2));
+}
+
+TEST(Uncore, KnowsHowServersNameTheirFreeRunningCounters) {
+  const std::string unit = "sys/bus/event_source/devices/uncore_imc_free_running_0/";
+  const Tree tree{{unit + "type", "30\n"},
+                  {unit + "format/event", "config:0-7\n"},
+                  {unit + "format/umask", "config:8-15\n"},
+                  {unit + "events/write", "event=0xff,umask=0x30\n"},
+                  {unit + "events/write.scale", "6.103515625e-5\n"},
+                  {unit + "events/write.unit", "MiB\n"}};
+  Discovery found;
+  const std::vector<ChannelPlan> plans = plan_uncore(tree.root(), found);
+  ASSERT_THAT(plans, SizeIs(1));
+  EXPECT_EQ(plans[0].channel.name, "uncore.imc.write");
+}
+
+TEST(Uncore, CountsTheCommandsOfAmdsControllers) {
+  const std::string units = "sys/bus/event_source/devices/";
+  const Tree tree;
+  for (const std::string unit : {"amd_umc_0/", "amd_umc_1/"})
+    tree.write({{units + unit + "type", "11\n"},
+                {units + unit + "cpumask", "0\n"},
+                {units + unit + "format/event", "config:0-7\n"},
+                {units + unit + "format/rdwrmask", "config:8-9\n"}});
+  tree.write({{units + "amd_umc_2/type", "12\n"}});  // nothing says how to ask it
+  Discovery found;
+  const std::vector<ChannelPlan> plans = plan_uncore(tree.root(), found);
+  ASSERT_THAT(plans, SizeIs(2));
+  EXPECT_EQ(plans[0].channel.name, "uncore.umc.read");
+  EXPECT_EQ(plans[0].channel.quantity, Quantity::memory_traffic);
+  EXPECT_EQ(plans[0].channel.unit, Unit::byte);
+  EXPECT_EQ(plans[0].factor, 64.0L);
+  EXPECT_EQ(plans[0].counters[0].config[0], 0x10au);
+  EXPECT_EQ(plans[1].channel.name, "uncore.umc.write");
+  EXPECT_EQ(plans[1].counters[0].config[0], 0x20au);
+  EXPECT_THAT(plans[1].counters, SizeIs(2));
+}
+
 TEST(GpuCounters, AreThoseOfTheDriversUnit) {
   Discovery found;
   const std::vector<GpuPlan> i915 = plan_i915_pmu(machine("intel-rplp-i915-laptop"), found);
@@ -234,6 +292,42 @@ TEST(Msr, GivesWhatPowercapDoesNot) {
   }
   EXPECT_EQ(readings["msr.package.throttle.power_limit"].value, 1);
   EXPECT_EQ(readings["msr.package.throttle.prochot"].value, 0);
+}
+
+TEST(Msr, KnowsTheUnitsOfServers) {
+  const std::string registers = "0x606\t0xa0e03\n0x611\t0x4000\n0x619\t0x10000\n0x64d\t0x3\n";
+  const auto energies = [&](const std::string& model) {
+    const Tree tree{
+        {"dev/cpu/0/msr.tsv", registers},
+        {"proc/cpuinfo", "cpu family\t: 6\nmodel\t\t: " + model + "\nmodel name\t: Intel\n"}};
+    auto readings = poll_all(discover(tree.root(), with_msr()));
+    return std::array{readings["rapl.package-0.energy"].value, readings["rapl.dram.energy"].value,
+                      readings["rapl.psys.energy"].value};
+  };
+  constexpr int64_t j = 1'000'000'000;
+  EXPECT_EQ(energies("186"), (std::array{j, 4 * j, 3 * j >> 14}));  // a laptop: all 2^-14 J
+  EXPECT_EQ(energies("85"), (std::array{j, j, 3 * j >> 14}));       // Skylake server
+  EXPECT_EQ(energies("143"), (std::array{j, j, 3 * j}));            // Sapphire Rapids
+}
+
+TEST(Msr, DoesNotRecordAgainWhatAPackageOfSeveralHas) {
+  const std::string rapl = "sys/class/powercap/";
+  const Tree tree{{"dev/cpu/0/msr.tsv", "0x606\t0xa0e03\n0x611\t0x1\n0x619\t0x1\n"},
+                  {rapl + "intel-rapl:0/name", "package-0\n"},
+                  {rapl + "intel-rapl:0/energy_uj", "1\n"},
+                  {rapl + "intel-rapl:0:0/name", "dram\n"},
+                  {rapl + "intel-rapl:0:0/energy_uj", "2\n"},
+                  {rapl + "intel-rapl:1/name", "package-1\n"},
+                  {rapl + "intel-rapl:1/energy_uj", "3\n"}};
+  for (const std::string& name : names_of(discover(tree.root(), with_msr())))
+    EXPECT_NE(name, "rapl.dram.energy");
+}
+
+TEST(Msr, TakesTheReasonsOfOldProcessorsFromTheirOwnRegister) {
+  const Tree tree{{"dev/cpu/0/msr.tsv", "0x606\t0xa0e03\n0x690\t0x430\n"}};
+  auto readings = poll_all(discover(tree.root(), with_msr()));
+  EXPECT_EQ(readings["msr.core.throttle.pl1"].value, 1);
+  EXPECT_EQ(readings.count("msr.core.throttle.ratl"), 0u);
 }
 
 TEST(Msr, ReadsAmdAndSaysWhyNotOtherwise) {

@@ -3,11 +3,13 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/stat.h>
 
 #include <cerrno>
 #include <fstream>
 #include <stdexcept>
 
+#include "probe/text_file.h"
 #include "tree.h"
 
 namespace energyprof::probe {
@@ -94,6 +96,38 @@ TEST(Root, EndsLoops) {
   EXPECT_EQ(root.resolve("a/x").error, ELOOP);
   EXPECT_EQ(root.resolve("self").error, ELOOP);
   EXPECT_NE(root.resolve("d/x").error, 0);
+}
+
+TEST(Root, EndsLinksThatDoubleWithEachStep) {
+  const Tree tree{{"link0/x", ""}};
+  for (int i = 1; i <= 30; ++i) {
+    const std::string before = "link" + std::to_string(i - 1);
+    tree.link("link" + std::to_string(i), before + "/../" + before);
+  }
+  EXPECT_EQ(tree.root().resolve("link3/x").error, 0);
+  EXPECT_EQ(tree.root().resolve("link30/x").error, ELOOP);  // not after 2^30 steps
+}
+
+TEST(Root, DoesNotWaitForAPipe) {
+  const Tree tree;
+  const std::string pipe = tree.path() + "/pipe";
+  ASSERT_EQ(mkfifo(pipe.c_str(), 0600), 0);
+  const Root root = tree.root();
+  EXPECT_EQ(root.read_line("pipe"), std::nullopt);
+  EXPECT_NE(check_int_file(root, "pipe").problem, "");
+}
+
+TEST(Root, NamesWhereALinkPointsToThoughItIsNotThere) {
+  const Tree tree{{"device/here/uevent", ""}, {"device/text", "../../drivers/xe\n"}};
+  tree.link("device/driver", "../../../bus/pci/drivers/i915");
+  tree.link("card/device", "../device");
+  const Root root = tree.root();
+  EXPECT_EQ(root.link_name("device/driver"), "i915");
+  EXPECT_EQ(root.link_name("card/device/driver"), "i915");
+  EXPECT_EQ(root.link_name("card/device"), "device");
+  EXPECT_EQ(root.link_name("device/text"), "xe");
+  EXPECT_EQ(root.link_name("device/here"), "");
+  EXPECT_EQ(root.link_name("absent/driver"), "");
 }
 
 TEST(Root, ListsOneLevelInNaturalOrder) {

@@ -66,6 +66,18 @@ TEST(Powercap, NamesTheSameDomainsOfSeveralPackagesApart) {
   EXPECT_EQ(readings["rapl.package-10-die-1.dram.energy"].value, 4);
 }
 
+TEST(Powercap, FindsZonesWhereACopyHasThemInsideTheirControlOnly) {
+  const std::string control = rapl + "intel-rapl/";
+  const Tree tree{{control + "enabled", "1\n"},
+                  {control + "intel-rapl:0/name", "package-0\n"},
+                  {control + "intel-rapl:0/energy_uj", "1\n"},
+                  {control + "intel-rapl:0/intel-rapl:0:1/name", "uncore\n"},
+                  {control + "intel-rapl:0/intel-rapl:0:1/energy_uj", "2\n"}};
+  const Discovery found = discover_only(tree.root(), "powercap");
+  EXPECT_THAT(names_of(found), ElementsAre("rapl.package-0.energy", "rapl.uncore.energy"));
+  EXPECT_EQ(poll_all(found)["rapl.uncore.energy"].value, 2);
+}
+
 TEST(Powercap, RecordsEnergyOnceHoweverManyZonesLeadToIt) {
   const Tree tree{{rapl + "intel-rapl-mmio:0/name", "package-0\n"},
                   {rapl + "intel-rapl-mmio:0/energy_uj", "11\n"},
@@ -189,6 +201,66 @@ TEST(Hwmon, TellsEqualChipsApartByTheirDevice) {
   EXPECT_EQ(found.sources[0]->period_ns(), ns_per_s);
 }
 
+TEST(Hwmon, CallsAChipWithoutANameByItsDevice) {
+  const Tree tree{{"sys/class/hwmon/hwmon0/temp1_input", "40000\n"}};
+  tree.link("sys/class/hwmon/hwmon0/device", "../../../chip.0");  // not there
+  EXPECT_THAT(names_of(discover_only(tree.root(), "hwmon")),
+              ElementsAre("hwmon.chip_0.temp1.temp"));
+}
+
+TEST(Hwmon, NamesWhatHasALabelWithoutLettersAfterItsSensor) {
+  const Tree tree{{"sys/class/hwmon/hwmon0/name", "chip\n"},
+                  {"sys/class/hwmon/hwmon0/temp1_input", "40000\n"},
+                  {"sys/class/hwmon/hwmon0/temp1_label", "\xe6\xb8\xa9\n"},
+                  {"sys/class/hwmon/hwmon0/temp2_input", "41000\n"},
+                  {"sys/class/hwmon/hwmon0/temp2_label", "--\n"}};
+  EXPECT_THAT(names_of(discover_only(tree.root(), "hwmon")),
+              ElementsAre("hwmon.chip.temp1.temp", "hwmon.chip.temp2.temp"));
+}
+
+TEST(Hwmon, DoesNotTakeALimitThatNothingReaches) {
+  const Tree tree{{"sys/class/hwmon/hwmon0/name", "nvme\n"},
+                  {"sys/class/hwmon/hwmon0/temp1_input", "42850\n"},
+                  {"sys/class/hwmon/hwmon0/temp1_max", "65261850\n"},
+                  {"sys/class/hwmon/hwmon0/temp2_input", "42850\n"},
+                  {"sys/class/hwmon/hwmon0/temp2_max", "81850\n"}};
+  const Discovery found = discover_only(tree.root(), "hwmon");
+  EXPECT_EQ(channel_called(found, "hwmon.nvme.temp1.temp").limit, std::nullopt);
+  EXPECT_EQ(channel_called(found, "hwmon.nvme.temp2.temp").limit, 81'850);
+}
+
+TEST(Hwmon, DoesNotBelieveInputsWhereNothingIsConnected) {
+  const Tree tree{{"sys/class/hwmon/hwmon0/name", "nct6775\n"},
+                  {"sys/class/hwmon/hwmon0/temp1_input", "-62000\n"},
+                  {"sys/class/hwmon/hwmon0/temp2_input", "216000\n"},
+                  {"sys/class/hwmon/hwmon0/temp3_input", "25000\n"},
+                  {"sys/class/hwmon/hwmon0/temp3_fault", "1\n"},
+                  {"sys/class/hwmon/hwmon0/temp4_input", "-5000\n"},
+                  {"sys/class/hwmon/hwmon0/temp4_fault", "0\n"}};
+  const Discovery found = discover_only(tree.root(), "hwmon");
+  EXPECT_THAT(names_of(found), ElementsAre("hwmon.nct6775.temp4.temp"));
+  EXPECT_THAT(found.missing, missing_because("-62 C", ""));
+  EXPECT_THAT(found.missing, missing_because("216 C", ""));
+  EXPECT_THAT(found.missing, missing_because("faulty", ""));
+}
+
+TEST(Hwmon, CountsHowOftenAJetsonThrottledForItsSupply) {
+  const Tree tree{{"sys/class/hwmon/hwmon3/name", "soctherm_oc\n"},
+                  {"sys/class/hwmon/hwmon3/oc1_event_cnt", "0\n"},
+                  {"sys/class/hwmon/hwmon3/oc1_throt_en", "1\n"},
+                  {"sys/class/hwmon/hwmon3/oc2_event_cnt", "15\n"},
+                  {"sys/class/hwmon/hwmon3/oc3_event_cnt", "27390\n"}};
+  const Discovery found = discover_only(tree.root(), "hwmon");
+  EXPECT_THAT(names_of(found), ElementsAre("hwmon.soctherm_oc.undervoltage.events",
+                                           "hwmon.soctherm_oc.overcurrent_average.events",
+                                           "hwmon.soctherm_oc.overcurrent_peak.events"));
+  EXPECT_EQ(poll_all(found)["hwmon.soctherm_oc.overcurrent_peak.events"].value, 27390);
+  const Channel channel = channel_called(found, "hwmon.soctherm_oc.undervoltage.events");
+  EXPECT_EQ(channel.quantity, Quantity::throttle);
+  EXPECT_EQ(channel.kind, Kind::cumulative);
+  EXPECT_TRUE(found.sources.front()->traits().slow);
+}
+
 TEST(Hwmon, KnowsTheUnitOfEveryKindOfInput) {
   const Tree tree{{chips + "hwmon0/name", "chip\n"},       {chips + "hwmon0/temp1_input", "1\n"},
                   {chips + "hwmon0/power1_input", "2\n"},  {chips + "hwmon0/power1_average", "3\n"},
@@ -270,6 +342,13 @@ TEST(Thermal, RefusesZonesThatDoNotMeasure) {
   EXPECT_THAT(found.missing, missing_because("-274 C", ""));
   EXPECT_THAT(found.missing, missing_because("policy", ""));
   EXPECT_THAT(found.missing, missing_because("Invalid argument", ""));
+}
+
+TEST(Thermal, DoesNotTakeARadioThatCoolsForThrottling) {
+  const Tree tree{{"sys/class/thermal/cooling_device0/type", "iwlwifi\n"},
+                  {"sys/class/thermal/cooling_device0/cur_state", "3\n"},
+                  {"sys/class/thermal/cooling_device0/max_state", "19\n"}};
+  EXPECT_THAT(names_of(discover_only(tree.root(), "thermal")), IsEmpty());
 }
 
 TEST(Thermal, TakesCoolingThatSlowsProcessorsAsThrottling) {
@@ -363,6 +442,17 @@ TEST(Cgroup, CountsNanosecondsInVersionOne) {
   const Discovery found = discover_only(tree.root(), "cgroup");
   EXPECT_EQ(poll_all(found)["cgroup.cpu.throttled"].value, 77000);
   EXPECT_EQ(channel_called(found, "cgroup.cpu.throttled").unit, Unit::nanosecond);
+}
+
+TEST(Cgroup, FindsTheControllersInWhateverOrderTheyAreMounted) {
+  for (const std::string mounted : {"cpu,cpuacct", "cpuacct,cpu"})
+    for (const std::string listed : {"cpu,cpuacct", "cpuacct,cpu"}) {
+      const Tree tree{{"proc/self/cgroup", "4:" + listed + ":/a\n0::/a\n"},
+                      {"sys/fs/cgroup/" + mounted + "/a/cpu.stat",
+                       "nr_periods 9\nnr_throttled 3\nthrottled_time 555\n"}};
+      EXPECT_EQ(poll_all(discover_only(tree.root(), "cgroup"))["cgroup.cpu.throttled"].value, 555)
+          << mounted << " as " << listed;
+    }
 }
 
 TEST(Cgroup, TakesTheTopForTheOwnGroupInsideAContainer) {

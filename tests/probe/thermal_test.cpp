@@ -94,6 +94,14 @@ TEST(ThermalZone, OfZeroIsADummy) {
   EXPECT_THAT(find(tree.root(), "thermal").missing, missing_because("reads 0 C", ""));
 }
 
+TEST(ThermalZone, OfAJetsonsPmicIsADummy) {
+  const Tree tree{{"sys/class/thermal/thermal_zone4/type", "PMIC-Die\n"},
+                  {"sys/class/thermal/thermal_zone4/temp", "100000\n"}};
+  const Discovery found = discover(tree.root(), Selection{.sources = {"thermal"}});
+  EXPECT_THAT(names_of(found), IsEmpty());
+  EXPECT_THAT(found.missing, Contains(Field(&Missing::reason, HasSubstr("constant"))));
+}
+
 TEST(ThermalZone, OfAcpiIsReadRarelyAndBesideTheOthers) {
   const Tree tree{
       {zones + "thermal_zone0/type", "acpitz\n"},       {zones + "thermal_zone0/temp", "27800\n"},
