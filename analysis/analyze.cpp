@@ -12,6 +12,7 @@
 #include <unordered_map>
 #include <utility>
 
+#include "analysis/analyze_frames.h"
 #include "analysis/format.h"
 #include "analysis/frame_table.h"
 #include "analysis/relations.h"
@@ -537,7 +538,7 @@ std::string headline(const Analysis& analysis) {
 
 }  // namespace
 
-Analysis analyze(const RunRecord& run) {
+Analysis analyze_frames(const RunRecord& run) {
   Analysis analysis;
   std::vector<std::string>& warnings = analysis.warnings;
   analysis.run = read_facts(run, warnings);
@@ -557,6 +558,12 @@ Analysis analyze(const RunRecord& run) {
   warn_about_trials(run, analysis.cells, warnings);
   compare_checksums(run, trials, analysis.cells, warnings);
   add_outliers(run, analysis);
+  return analysis;
+}
+
+Analysis analyze(const RunRecord& run) {
+  Analysis analysis = analyze_frames(run);
+  std::vector<std::string>& warnings = analysis.warnings;
   analysis.ranking = rank(analysis.cells, analysis.score, warnings);
   analysis.structures = list_structures(run);
   analysis.sensors = summarize_sensors(run, !is_cpu_device(analysis.run), warnings);

@@ -2,27 +2,17 @@
 
 #include <fmt/format.h>
 
-#include <array>
 #include <cmath>
 
+#include "analysis/prefix.h"
 #include "core/unit.h"
 
 namespace energyprof::analysis {
 namespace {
 
-struct Prefix {
-  double factor;
-  std::string_view symbol;
-};
-constexpr std::array prefixes{Prefix{1e12, "T"}, Prefix{1e9, "G"},  Prefix{1e6, "M"},
-                              Prefix{1e3, "k"},  Prefix{1, ""},     Prefix{1e-3, "m"},
-                              Prefix{1e-6, "µ"}, Prefix{1e-9, "n"}, Prefix{1e-12, "p"}};
-
 /// Three significant digits of a value from 1 to 999, trailing zeros kept.
 std::string three_digits(double value) {
-  const double size = std::fabs(value);
-  const int decimals = size >= 99.95 ? 0 : size >= 9.995 ? 1 : 2;
-  return fmt::format("{:.{}f}", value, decimals);
+  return fmt::format("{:.{}f}", value, three_digit_decimals(std::fabs(value)));
 }
 
 std::string plain(double value) {
@@ -34,12 +24,9 @@ std::string plain(double value) {
 
 std::string scaled(double value, std::string_view unit) {
   if (value == 0) return fmt::format("0 {}", unit);
-  for (const Prefix& prefix : prefixes) {
-    // 999.5 is where three digits would round up to the next prefix.
-    if (std::fabs(value) >= 0.9995 * prefix.factor)
-      return fmt::format("{} {}{}", three_digits(value / prefix.factor), prefix.symbol, unit);
-  }
-  return fmt::format("{:.3g} {}", value, unit);
+  const Prefix prefix = prefix_of(std::fabs(value));
+  if (std::fabs(value) < prefix.factor * 0.9995) return fmt::format("{:.3g} {}", value, unit);
+  return fmt::format("{} {}{}", three_digits(value / prefix.factor), prefix.symbol, unit);
 }
 
 std::string scaled_stored(double value, std::string_view stored_unit) {
@@ -58,6 +45,7 @@ std::string scaled_stored(double value, std::string_view stored_unit) {
     case Unit::millicelsius:
       return fmt::format("{:.1f} °C", value * info.to_si);
     default:
+      if (info.si == "1") return fmt::format("{} %", plain(100 * value * info.to_si));
       return scaled(value * info.to_si, info.si);
   }
 }

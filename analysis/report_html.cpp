@@ -3,11 +3,13 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cctype>
 #include <cmath>
 #include <iterator>
 #include <map>
 #include <numeric>
+#include <set>
 #include <string_view>
 #include <tuple>
 #include <unordered_map>
@@ -15,6 +17,7 @@
 
 #include "analysis/format.h"
 #include "analysis/frame_table.h"
+#include "analysis/join_spans.h"
 #include "analysis/relations.h"
 #include "analysis/report_json.h"
 #include "analysis/report_text.h"
@@ -35,6 +38,7 @@ constexpr std::size_t max_page_bytes = 3'000'000;
 constexpr std::size_t max_points_per_channel = 2'000;
 constexpr std::size_t max_sensor_points = 40'000;
 constexpr std::size_t max_frame_points = 16'000;
+constexpr std::size_t max_outliers = 100'000;
 constexpr std::size_t max_evidence_outliers = 3'000;
 constexpr std::size_t max_evidence_per_outlier = 3;
 constexpr std::size_t max_bands = 2'000;
@@ -43,11 +47,10 @@ constexpr std::size_t max_scatter_values = 40'000;
 constexpr std::size_t max_event_rows = 200;
 constexpr std::size_t max_regime_rows = 20;
 
-/// What is left of `most` points where many outliers, which are all kept, need room; at least a
-/// quarter.
+/// What is left of `most` points where many outliers need room; at least a quarter.
 std::size_t room_beside_outliers(const Analysis& analysis, std::size_t most) {
-  const std::size_t taken = std::min(most, analysis.outliers.size());
-  return std::max(most - taken, most / 4);
+  const std::size_t taken = std::min(max_outliers, analysis.outliers.size());
+  return std::max(most - most * taken / max_outliers, most / 4);
 }
 
 std::string base64(std::string_view bytes) {
@@ -104,54 +107,112 @@ std::vector<std::size_t> worst_outliers(const Analysis& analysis) {
   return order;
 }
 
-/// Every outlier, as columns. Evidence: [channel, unit, value, expected or null] each, of those
-/// that lost most time; the others have 0.
-json outlier_columns(const RunRecord& run, const Analysis& analysis) {
-  std::vector<bool> has_evidence(analysis.outliers.size(), false);
-  const std::vector<std::size_t> worst = worst_outliers(analysis);
-  for (std::size_t i = 0; i < std::min(worst.size(), max_evidence_outliers); ++i)
-    has_evidence[worst[i]] = true;
-  json columns;
-  for (const char* name : {"cell", "frame", "t_s", "ms", "excess_ms", "cause", "confidence_pct",
-                           "is_stretch", "evidence"})
-    columns[name] = json::array();
+/// The outliers that the page holds, numbered by cell and then by time, as it numbers them.
+class DrawnOutliers {
+ public:
+  DrawnOutliers(const Analysis& analysis, const std::vector<std::size_t>& worst)
+      : order_(worst.begin(),
+               worst.begin() + static_cast<std::ptrdiff_t>(std::min(worst.size(), max_outliers))) {
+    std::sort(order_.begin(), order_.end(), [&](std::size_t a, std::size_t b) {
+      return std::pair(analysis.outliers[a].cell, a) < std::pair(analysis.outliers[b].cell, b);
+    });
+    for (std::size_t number = 0; number < order_.size(); ++number)
+      number_of_.emplace(analysis.outliers[order_[number]].frame_index, number);
+  }
+  /// Indices into Analysis::outliers.
+  [[nodiscard]] const std::vector<std::size_t>& order() const { return order_; }
+  /// The number of the outlier that the frame is.
+  [[nodiscard]] std::optional<std::size_t> number_of(std::size_t frame_index) const {
+    const auto found = number_of_.find(frame_index);
+    return found == number_of_.end() ? std::nullopt : std::optional(found->second);
+  }
+
+ private:
+  std::vector<std::size_t> order_;
+  std::unordered_map<std::size_t, std::size_t> number_of_;
+};
+
+/// By number of the outlier, [channel, unit, value, expected or null] of each piece of evidence;
+/// only for those that lost most time.
+json evidence(const Analysis& analysis, const std::vector<std::size_t>& worst,
+              const DrawnOutliers& drawn) {
   TextTable channels;
   TextTable units;
-  for (std::size_t i = 0; i < analysis.outliers.size(); ++i) {
-    const Outlier& outlier = analysis.outliers[i];
-    const FrameRecord& frame = run.frames[outlier.frame_index];
-    columns["cell"].push_back(outlier.cell);
-    columns["frame"].push_back(frame.frame);
-    columns["t_s"].push_back(drawn_seconds(analysis, frame.begin_ns));
-    columns["ms"].push_back(short_number(outlier.frame_ms));
-    columns["excess_ms"].push_back(short_number(outlier.excess_ms));
-    columns["cause"].push_back(static_cast<int>(outlier.attribution.cause));
-    columns["confidence_pct"].push_back(std::lround(outlier.attribution.confidence * 100));
-    columns["is_stretch"].push_back(outlier.shape == OutlierShape::spike ? 0 : 1);
-    json evidence = 0;
-    if (has_evidence[i]) {
-      evidence = json::array();
-      for (const Evidence& seen : outlier.attribution.evidence) {
-        if (evidence.size() == max_evidence_per_outlier) break;
-        evidence.push_back({channels.index(seen.channel), units.index(seen.unit),
-                            short_number(seen.value),
-                            seen.expected ? json(short_number(*seen.expected)) : json(nullptr)});
-      }
+  json of = json::object();
+  for (std::size_t i = 0; i < std::min(worst.size(), max_evidence_outliers); ++i) {
+    const Outlier& outlier = analysis.outliers[worst[i]];
+    json list = json::array();
+    for (const Evidence& seen : outlier.attribution.evidence) {
+      if (list.size() == max_evidence_per_outlier) break;
+      list.push_back({channels.index(seen.channel), units.index(seen.unit),
+                      short_number(seen.value),
+                      seen.expected ? json(short_number(*seen.expected)) : json(nullptr)});
     }
-    columns["evidence"].push_back(std::move(evidence));
+    of[std::to_string(*drawn.number_of(outlier.frame_index))] = std::move(list);
   }
-  columns["channels"] = channels.take();
-  columns["units"] = units.take();
-  return columns;
+  return {{"channels", channels.take()}, {"units", units.take()}, {"of", std::move(of)}};
 }
 
-/// Per cell its points in time order: [seconds, ms, frame] of a frame, the number of an outlier,
-/// and null between two trials. Thinned, but for the outliers.
-json frame_points(const RunRecord& run, const Analysis& analysis) {
+/// Whole numbers, each in as many bytes as it needs, seven bits a byte, the lowest first.
+class Packed {
+ public:
+  void put(int64_t number) {
+    // 0, -1, 1, -2, ... become 0, 1, 2, 3, ...
+    uint64_t bits = static_cast<uint64_t>(number) << 1 ^ static_cast<uint64_t>(number >> 63);
+    for (; bits > 127; bits >>= 7) bytes_ += static_cast<char>(bits & 127u | 128u);
+    bytes_ += static_cast<char>(bits);
+  }
+  [[nodiscard]] const std::string& bytes() const { return bytes_; }
+
+ private:
+  std::string bytes_;
+};
+
+/// What times of a cell are counted in: at most a ten-thousandth of its median.
+double packed_unit_ms(const Cell& cell) {
+  return cell.median_ms > 0 ? std::pow(10, std::floor(std::log10(cell.median_ms)) - 4) : 1;
+}
+
+/// The points of one cell in time order, `kept` of them, for unpack() of report.js. Of each: what
+/// it is (0 a normal frame, else 1 + 2 cause + (part of a stretch)) twice, plus 1 at the begin of a
+/// trial; how much later than the point before, in 10 us; how many frames further; its time, or
+/// that of an outlier's fast regime, less that of the point before; and of an outlier its excess
+/// and its confidence in percent.
+std::string packed_points(const RunRecord& run, const Analysis& analysis, const Cell& cell,
+                          const std::vector<std::size_t>& kept, const DrawnOutliers& drawn) {
+  Packed packed;
+  std::optional<int64_t> trial_id;
+  int64_t t = 0;
+  int64_t number = 0;
+  int64_t level = 0;
+  const double unit_ms = packed_unit_ms(cell);
+  const auto put_change = [&](int64_t& last, int64_t now) {
+    packed.put(now - last);
+    last = now;
+  };
+  for (const std::size_t i : kept) {
+    const FrameRecord& frame = run.frames[cell.frame_index[i]];
+    const auto slow = drawn.number_of(cell.frame_index[i]);
+    const Outlier* outlier = slow ? &analysis.outliers[drawn.order()[*slow]] : nullptr;
+    int64_t what = 0;
+    if (outlier != nullptr)
+      what = 1 + 2 * static_cast<int64_t>(outlier->attribution.cause) +
+             (outlier->shape == OutlierShape::spike ? 0 : 1);
+    packed.put(2 * what + (trial_id == frame.trial_id ? 0 : 1));
+    trial_id = frame.trial_id;
+    put_change(t, (frame.begin_ns - analysis.run.begin_ns) / 10'000);
+    put_change(number, frame.frame);
+    put_change(level, std::llround((outlier ? outlier->baseline_ms : cell.frame_ms[i]) / unit_ms));
+    if (outlier == nullptr) continue;
+    packed.put(std::llround(outlier->excess_ms / unit_ms));
+    packed.put(std::lround(outlier->attribution.confidence * 100));
+  }
+  return base64(packed.bytes());
+}
+
+/// Per cell its points, thinned but for the outliers.
+json frame_points(const RunRecord& run, const Analysis& analysis, const DrawnOutliers& drawn) {
   json cells = json::array();
-  std::unordered_map<std::size_t, std::size_t> outlier_of;
-  for (std::size_t i = 0; i < analysis.outliers.size(); ++i)
-    outlier_of.emplace(analysis.outliers[i].frame_index, i);
   const std::size_t limit =
       std::max<std::size_t>(100, room_beside_outliers(analysis, max_frame_points) /
                                      std::max<std::size_t>(1, analysis.cells.size()));
@@ -160,45 +221,41 @@ json frame_points(const RunRecord& run, const Analysis& analysis) {
     std::vector<std::size_t> slow;
     for (std::size_t i = 0; i < cell.frame_index.size(); ++i) {
       begin_ns.push_back(run.frames[cell.frame_index[i]].begin_ns);
-      if (outlier_of.contains(cell.frame_index[i])) slow.push_back(i);
+      if (drawn.number_of(cell.frame_index[i])) slow.push_back(i);
     }
     const std::vector<std::size_t> thinned = thin_points(begin_ns, cell.frame_ms, limit);
     std::vector<std::size_t> kept;
     std::set_union(thinned.begin(), thinned.end(), slow.begin(), slow.end(),
                    std::back_inserter(kept));
-    json points = json::array();
-    std::optional<int64_t> trial_id;
-    for (const std::size_t i : kept) {
-      const FrameRecord& frame = run.frames[cell.frame_index[i]];
-      if (trial_id && *trial_id != frame.trial_id) points.push_back(nullptr);
-      trial_id = frame.trial_id;
-      if (const auto outlier = outlier_of.find(cell.frame_index[i]); outlier != outlier_of.end())
-        points.push_back(outlier->second);
-      else
-        points.push_back(
-            {drawn_seconds(analysis, frame.begin_ns), short_number(cell.frame_ms[i]), frame.frame});
-    }
-    cells.push_back(std::move(points));
+    cells.push_back({{"unit_ms", packed_unit_ms(cell)},
+                     {"count", kept.size()},
+                     {"points", packed_points(run, analysis, cell, kept, drawn)}});
   }
   return cells;
 }
 
-/// `spans` with the shortest gaps between them closed, so that at most `most` are left; the longest
-/// gap that was closed.
-std::pair<std::vector<Span>, int64_t> join_spans(const std::vector<Span>& spans, std::size_t most) {
-  if (spans.size() <= most) return {spans, 0};
-  std::vector<int64_t> gaps_ns;
-  for (std::size_t i = 1; i < spans.size(); ++i)
-    gaps_ns.push_back(spans[i].begin_ns - spans[i - 1].end_ns);
-  const auto closed = gaps_ns.begin() + static_cast<std::ptrdiff_t>(gaps_ns.size() - most);
-  std::nth_element(gaps_ns.begin(), closed, gaps_ns.end());
-  std::vector<Span> joined{spans.front()};
-  for (std::size_t i = 1; i < spans.size(); ++i)
-    if (spans[i].begin_ns - joined.back().end_ns <= *closed)
-      joined.back().end_ns = spans[i].end_ns;
-    else
-      joined.push_back(spans[i]);
-  return {std::move(joined), *closed};
+/// How often each cause was named and what it cost, over all outliers.
+json cause_rows(const Analysis& analysis) {
+  struct Sum {
+    std::size_t count = 0;
+    double excess_ms = 0;
+    double confidence = 0;
+  };
+  std::array<Sum, cause_count> sums{};
+  for (const Outlier& outlier : analysis.outliers) {
+    Sum& sum = sums[static_cast<std::size_t>(outlier.attribution.cause)];
+    ++sum.count;
+    sum.excess_ms += outlier.excess_ms;
+    sum.confidence += outlier.attribution.confidence;
+  }
+  json rows = json::array();
+  for (std::size_t k = 0; k < cause_count; ++k)
+    if (sums[k].count > 0)
+      rows.push_back({{"cause", k},
+                      {"count", sums[k].count},
+                      {"excess", sums[k].excess_ms},
+                      {"confidence", sums[k].confidence}});
+  return rows;
 }
 
 /// When frames were held back, by class: [begin, end] in seconds, all sources of a class together.
@@ -241,32 +298,33 @@ AxisUnit signal_axis(const Channel& channel) {
 }
 
 /// Which frames stand for all: at most `limit`, half of them outliers, those that lost most time.
-std::vector<std::size_t> scatter_frames(
-    const Analysis& analysis, const std::vector<TimedFrame>& frames,
-    const std::unordered_map<std::size_t, std::size_t>& outlier_of, std::size_t limit) {
-  std::vector<bool> chosen(analysis.outliers.size(), false);
-  const std::vector<std::size_t> worst = worst_outliers(analysis);
+std::vector<std::size_t> scatter_frames(const Analysis& analysis,
+                                        const std::vector<TimedFrame>& frames,
+                                        const std::vector<std::size_t>& worst,
+                                        const std::set<std::size_t>& slow, std::size_t limit) {
+  std::set<std::size_t> chosen;
   const std::size_t slow_count = std::min(worst.size(), limit / 2);
-  for (std::size_t i = 0; i < slow_count; ++i) chosen[worst[i]] = true;
+  for (std::size_t i = 0; i < slow_count; ++i)
+    chosen.insert(analysis.outliers[worst[i]].frame_index);
   const std::size_t normal_count = frames.size() - std::min(frames.size(), worst.size());
   const std::size_t stride = normal_count / std::max<std::size_t>(1, limit - slow_count) + 1;
   std::vector<std::size_t> kept;
   std::size_t normal = 0;
   for (std::size_t i = 0; i < frames.size(); ++i) {
-    const auto outlier = outlier_of.find(frames[i].frame_index);
-    if (outlier != outlier_of.end() ? chosen[outlier->second] : normal++ % stride == 0)
+    const bool is_slow = slow.contains(frames[i].frame_index);
+    if (is_slow ? chosen.contains(frames[i].frame_index) : normal++ % stride == 0)
       kept.push_back(i);
   }
   return kept;
 }
 
 /// Frame time beside what each channel said meanwhile, as columns.
-json scatter(const RunRecord& run, const Analysis& analysis) {
+json scatter(const RunRecord& run, const Analysis& analysis, const std::vector<std::size_t>& worst,
+             const DrawnOutliers& drawn) {
   const std::vector<TimedFrame> frames = timed_frames(run, analysis.cells);
   const std::vector<ChannelSignal> signals = channel_signals(run, frames);
-  std::unordered_map<std::size_t, std::size_t> outlier_of;
-  for (std::size_t i = 0; i < analysis.outliers.size(); ++i)
-    outlier_of.emplace(analysis.outliers[i].frame_index, i);
+  std::set<std::size_t> slow;
+  for (const Outlier& outlier : analysis.outliers) slow.insert(outlier.frame_index);
   const auto usable = [](const ChannelSignal& signal) {
     return signal.unusable.empty() &&
            std::any_of(signal.value.begin(), signal.value.end(),
@@ -277,18 +335,17 @@ json scatter(const RunRecord& run, const Analysis& analysis) {
   const std::size_t limit = std::clamp<std::size_t>(
       room_beside_outliers(analysis, max_scatter_values) / std::max<std::size_t>(1, usable_count),
       200, max_scatter_frames);
-  const std::vector<std::size_t> kept = scatter_frames(analysis, frames, outlier_of, limit);
+  const std::vector<std::size_t> kept = scatter_frames(analysis, frames, worst, slow, limit);
   json result{{"cell", json::array()},
               {"ms", json::array()},
               {"outlier", json::array()},
               {"channels", json::array()},
               {"frames", frames.size()}};
   for (const std::size_t i : kept) {
-    const auto outlier = outlier_of.find(frames[i].frame_index);
+    const auto outlier = drawn.number_of(frames[i].frame_index);
     result["cell"].push_back(frames[i].cell);
     result["ms"].push_back(short_number(frames[i].ms));
-    result["outlier"].push_back(outlier == outlier_of.end() ? json(nullptr)
-                                                            : json(outlier->second));
+    result["outlier"].push_back(outlier ? json(*outlier) : json(nullptr));
   }
   for (std::size_t c = 0; c < signals.size(); ++c) {
     if (!usable(signals[c])) continue;
@@ -512,11 +569,15 @@ json page_data(const RunRecord& run, const Analysis& analysis,
   data["answer"] = answer_text(analysis);
   data["causes"] = cause_names();
   data["min_confidence"] = min_confidence;
-  data["outliers"] = outlier_columns(run, analysis);
-  data["frames"] = frame_points(run, analysis);
+  const std::vector<std::size_t> worst = worst_outliers(analysis);
+  const DrawnOutliers drawn(analysis, worst);
+  data["cause_rows"] = cause_rows(analysis);
+  data["outlier_count"] = analysis.outliers.size();
+  data["evidence"] = evidence(analysis, worst, drawn);
+  data["frames"] = frame_points(run, analysis, drawn);
   data["bands"] = throttle_bands(run, analysis);
   data["throttling_text"] = throttling_text(run, analysis.throttling);
-  data["scatter"] = scatter(run, analysis);
+  data["scatter"] = scatter(run, analysis, worst, drawn);
   std::tie(data["tracks"], data["not_drawn"]) = sensor_tracks(run, analysis);
   data["sensor_rows"] = sensor_rows(analysis);
   data["readings"] = reading_rows(analysis);

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cctype>
 #include <iterator>
+#include <map>
 #include <span>
 #include <utility>
 
@@ -14,7 +15,9 @@
 namespace energyprof::analysis {
 namespace {
 
+// A comment on a pull request holds 65,536 characters, and should be read in a minute or two.
 constexpr std::size_t list_length = 10;
+constexpr std::size_t table_length = 24;
 constexpr std::string_view unknown = "unknown";
 
 /// Text from outside as a piece of one Markdown line or table cell.
@@ -70,6 +73,13 @@ class Page {
     text_ += '\n';
   }
   void heading(std::string_view title) { line("\n## {}\n", title); }
+  /// What follows, up to fold_end(), is shown when asked for.
+  void fold(std::string_view title) { line("\n<details>\n<summary>{}</summary>\n", title); }
+  void fold_end() { line("\n</details>"); }
+  /// How many of `total` rows are not in a table of table_length.
+  void more(std::size_t total, std::size_t length = table_length) {
+    if (total > length) line("\n{} more are in report.html and report.json.", total - length);
+  }
   /// Columns whose title starts with '>' are aligned to the right.
   void table(const std::vector<std::string_view>& titles) {
     std::string rule = "|";
@@ -94,6 +104,12 @@ class Page {
   }
   std::string text_;
 };
+
+/// Of a list that may be long, what a table shows.
+template <class T>
+std::span<const T> first_of(const std::vector<T>& list, std::size_t length = table_length) {
+  return std::span(list).first(std::min(list.size(), length));
+}
 
 std::string ms(std::optional<double> value) {
   return value ? fmt::format("{:.3f}", *value) : std::string("-");
@@ -160,9 +176,42 @@ std::string agreement(const Cell& cell) {
   return *cell.checksums_agree ? "agree" : "**differ**";
 }
 
+/// Medians only: a row for a model and view, a column for an algorithm.
+void write_medians(Page& page, const Analysis& analysis) {
+  std::vector<std::string> algorithms;
+  for (const Cell& cell : analysis.cells)
+    if (std::find(algorithms.begin(), algorithms.end(), cell.algorithm) == algorithms.end())
+      algorithms.push_back(cell.algorithm);
+  const std::size_t column_count = std::min(algorithms.size(), list_length);
+  std::map<std::pair<std::string, int64_t>, std::vector<std::string>> rows;
+  for (const Cell& cell : analysis.cells) {
+    const auto column = static_cast<std::size_t>(
+        std::find(algorithms.begin(), algorithms.end(), cell.algorithm) - algorithms.begin());
+    auto& row = rows[{cell.model, cell.view}];
+    row.resize(column_count, "-");
+    if (column >= column_count) continue;
+    row[column] = ms(cell.median_ms);
+    if (cell.median_interval_ms)
+      row[column] += fmt::format(" ({:.3f} to {:.3f})", cell.median_interval_ms->low,
+                                 cell.median_interval_ms->high);
+  }
+  page.line("Medians \\[ms\\], 95 %. The other columns are in report.html and report.json.\n");
+  std::vector<std::string> titles{"model", ">view"};
+  for (std::size_t i = 0; i < column_count; ++i) titles.push_back(">" + escaped(algorithms[i]));
+  page.table({titles.begin(), titles.end()});
+  std::size_t count = 0;
+  for (auto& [place, medians] : rows) {
+    if (++count > table_length) break;
+    medians.insert(medians.begin(), {escaped(place.first), fmt::format("{}", place.second)});
+    page.row(medians);
+  }
+  page.more(rows.size());
+}
+
 void write_cells(Page& page, const Analysis& analysis) {
   if (analysis.cells.empty()) return;
   page.heading("Frame times");
+  if (analysis.cells.size() > table_length) return write_medians(page, analysis);
   page.table({"model", ">view", "algorithm", ">frames", ">median \\[ms\\]", ">95 % \\[ms\\]",
               ">truncated mean \\[ms\\]", ">stddev \\[ms\\]", ">outliers", ">Mrays/s",
               ">hits \\[%\\]", "checksums"});
@@ -179,17 +228,19 @@ void write_cells(Page& page, const Analysis& analysis) {
 
 void write_work(Page& page, const Analysis& analysis) {
   if (analysis.cells.empty()) return;
-  page.heading("Work per ray");
+  page.fold("Work per ray");
   const auto known = [](const Cell& cell) {
     return cell.work.node_visits_per_ray || cell.work.prim_tests_per_ray ||
            cell.work.l1_misses_per_ray;
   };
-  if (std::none_of(analysis.cells.begin(), analysis.cells.end(), known))
-    return page.line("No frame counted its work.");
+  if (std::none_of(analysis.cells.begin(), analysis.cells.end(), known)) {
+    page.line("No frame counted its work.");
+    return page.fold_end();
+  }
   page.table({"model", ">view", "algorithm", ">nodes", ">boxes", ">triangles", ">loop steps",
               ">SIMD efficiency", ">L1 misses, *modelled*", ">LLC misses, *modelled*",
               ">bytes per pixel, *modelled*"});
-  for (const Cell& cell : analysis.cells) {
+  for (const Cell& cell : first_of(analysis.cells)) {
     const Work& work = cell.work;
     page.row({escaped(cell.model), fmt::format("{}", cell.view), escaped(cell.algorithm),
               number(work.node_visits_per_ray, 1), number(work.box_tests_per_ray, 1),
@@ -197,8 +248,10 @@ void write_work(Page& page, const Analysis& analysis) {
               number(work.simd_efficiency, 3), number(work.l1_misses_per_ray, 2),
               number(work.llc_misses_per_ray, 3), number(work.bytes_per_pixel, 0)});
   }
+  page.more(analysis.cells.size());
   if (const std::string text = cache_text(analysis); !text.empty())
     page.line("\n{}", escaped(text));
+  page.fold_end();
 }
 
 std::string count(std::optional<int64_t> value) {
@@ -207,11 +260,11 @@ std::string count(std::optional<int64_t> value) {
 
 void write_structures(Page& page, const Analysis& analysis) {
   if (analysis.structures.empty()) return;
-  page.heading("Structures");
+  page.fold("Structures");
   page.table({"model", "algorithm", ">build \\[ms\\]", ">size \\[MiB\\]", ">triangles", ">nodes",
               ">leaves", ">references", ">depth", ">SAH cost"});
   bool any_cached = false;
-  for (const Structure& structure : analysis.structures) {
+  for (const Structure& structure : first_of(analysis.structures)) {
     const bool cached = structure.cached.value_or(false);
     any_cached = any_cached || cached;
     const auto mib = structure.blob_bytes
@@ -223,8 +276,10 @@ void write_structures(Page& page, const Analysis& analysis) {
               count(structure.leaf_count), count(structure.ref_count), count(structure.max_depth),
               number(structure.sah_cost, 2)});
   }
+  page.more(analysis.structures.size());
   page.line("\nThe builders' parameters are in report.json.{}",
             any_cached ? " Cached: read from disk; the time is that of its build." : "");
+  page.fold_end();
 }
 
 void write_pictures(Page& page, const std::vector<std::string>& image_files) {
@@ -235,10 +290,6 @@ void write_pictures(Page& page, const std::vector<std::string>& image_files) {
   page.heading("Pictures");
   page.line("Heat maps: cost per pixel = 0.5 per box test + 1 per triangle test.\n");
   for (const std::string_view file : shown) page.line("- [{}]({})", escaped(file), link(file));
-}
-
-void write_more(Page& page, std::size_t total) {
-  if (total > list_length) page.line("\n{} more are in report.json.", total - list_length);
 }
 
 void write_outliers(Page& page, const RunRecord& run, const Analysis& analysis) {
@@ -253,20 +304,21 @@ void write_outliers(Page& page, const RunRecord& run, const Analysis& analysis) 
     page.table({">frame", "model", ">view", "algorithm", ">time", ">ratio", ">excess", "cause",
                 ">confidence", "evidence"});
   }
-  for (const Outlier* outlier : std::span(worst).first(std::min(worst.size(), list_length))) {
+  for (const Outlier* outlier : first_of(worst, list_length)) {
     const Cell& cell = analysis.cells[outlier->cell];
     page.row({fmt::format("{}", run.frames[outlier->frame_index].frame), escaped(cell.model),
               fmt::format("{}", cell.view), escaped(cell.algorithm),
               scaled(outlier->frame_ms * 1e-3, "s"), fmt::format("{:.1f}", outlier->ratio),
               scaled(outlier->excess_ms * 1e-3, "s"),
               std::string(to_string(outlier->attribution.cause)),
-              fmt::format("{:.2f}", outlier->attribution.confidence),
+              confidence_text(outlier->attribution.confidence),
               escaped(evidence_text(outlier->attribution))});
   }
-  write_more(page, worst.size());
+  page.more(worst.size(), list_length);
   const auto lines = throttling_text(run, analysis.throttling);
   if (!lines.empty()) page.line("\nThrottling:\n");
-  for (const std::string& line : lines) page.line("- {}", escaped(line));
+  for (const std::string& line : first_of(lines, list_length)) page.line("- {}", escaped(line));
+  page.more(lines.size(), list_length);
 }
 
 void write_relations(Page& page, const Analysis& analysis) {
@@ -321,7 +373,7 @@ void write_energy_rows(Page& page, const std::vector<EnergyRow>& rows, bool with
                                        "method"};
   if (with_channel) titles.insert(titles.begin(), {"channel", "domain"});
   page.table(titles);
-  for (const EnergyRow& row : rows) {
+  for (const EnergyRow& row : first_of(rows)) {
     std::vector<std::string> values{
         escaped(row.algorithm),
         escaped(row.model),
@@ -336,6 +388,7 @@ void write_energy_rows(Page& page, const std::vector<EnergyRow>& rows, bool with
       values.insert(values.begin(), {escaped(row.channel), std::string(to_string(row.domain))});
     page.row(values);
   }
+  page.more(rows.size());
 }
 
 void write_energy(Page& page, const Analysis& analysis) {
@@ -345,11 +398,15 @@ void write_energy(Page& page, const Analysis& analysis) {
     page.line("{}\n", escaped(text));
   write_energy_rows(page, analysis.energy, false);
   if (analysis.energy_by_channel.size() <= analysis.energy.size()) return;
+  if (analysis.energy_by_channel.size() > table_length)
+    return page.line("\nEvery energy channel, side by side, is in report.html and report.json.");
+  page.fold("Every energy channel");
   page.line(
-      "\nAll channels, side by side. Some contain others (the platform the package, the package "
+      "Side by side. Some contain others (the platform the package, the package "
       "its "
       "cores and its GPU): they must not be added.\n");
   write_energy_rows(page, analysis.energy_by_channel, true);
+  page.fold_end();
 }
 
 void write_readings(Page& page, const Analysis& analysis) {
@@ -362,26 +419,30 @@ void write_readings(Page& page, const Analysis& analysis) {
 }
 
 void write_sensors(Page& page, const Analysis& analysis) {
-  page.heading("Sensors");
+  page.fold("Sensors");
   if (analysis.sensors.empty()) page.line("No sensor was recorded.");
   if (!analysis.sensors.empty())
     page.table({"channel", "quantity", "unit", ">samples", ">updates", ">polled every",
                 ">one read costs", "min / mean / max", "status"});
-  for (const SensorSummary& sensor : analysis.sensors)
+  for (const SensorSummary& sensor : first_of(analysis.sensors))
     page.row({escaped(sensor.channel.name), std::string(to_string(sensor.channel.quantity)),
               escaped(sensor.unit), fmt::format("{}", sensor.sample_count),
               fmt::format("{}", sensor.update_count), duration_text(sensor.poll_ns),
               duration_text(sensor.channel.read_cost_ns), escaped(values_text(sensor)),
               sensor.status});
 
+  page.more(analysis.sensors.size());
+  page.fold_end();
+
   page.heading("What could not be seen");
   if (analysis.missing_sensors.empty()) page.line("The recorder lists no missing sensor.");
   if (!analysis.missing_sensors.empty()) page.table({"source", "why", "what to do"});
-  for (const MissingSensor& missing : analysis.missing_sensors)
+  for (const MissingSensor& missing : first_of(analysis.missing_sensors))
     page.row({escaped(missing.source), escaped(missing.reason),
               missing.fix.empty() ? "-" : escaped(missing.fix)});
+  page.more(analysis.missing_sensors.size());
   if (!analysis.device_refusals.empty()) page.line("\nDevices that were not used:\n");
-  for (const DeviceRefusal& refusal : analysis.device_refusals)
+  for (const DeviceRefusal& refusal : first_of(analysis.device_refusals, list_length))
     page.line("- {}: {}", escaped(refusal.name), escaped(refusal.reason));
 }
 
@@ -394,21 +455,23 @@ void write_cost(Page& page, const SamplerCost& cost) {
 
 void write_notes(Page& page, const Analysis& analysis) {
   page.heading("Warnings");
-  for (const std::string& warning : analysis.warnings) page.line("- {}", escaped(warning));
+  if (analysis.warnings.empty()) page.line("None.");
+  for (const std::string& warning : first_of(analysis.warnings))
+    page.line("- {}", escaped(warning));
+  page.more(analysis.warnings.size());
   if (analysis.events.empty()) return;
-  page.heading("Events");
+  page.fold("Events");
   std::vector<Event> events;
   std::copy_if(
       analysis.events.begin(), analysis.events.end(), std::back_inserter(events),
       [](const Event& event) { return event.kind != "idle" && event.kind != "sampler-off"; });
   if (const std::string idle = idle_text(analysis); !idle.empty()) page.line("{}\n", idle);
-  if (events.empty()) return;
-  page.table({">time \\[s\\]", "severity", "kind", "text"});
-  const std::size_t shown = std::min(events.size(), list_length);
-  for (const Event& event : std::span(events).first(shown))
+  if (!events.empty()) page.table({">time \\[s\\]", "severity", "kind", "text"});
+  for (const Event& event : first_of(events, list_length))
     page.row({fmt::format("{:.3f}", static_cast<double>(event.t_ns - analysis.run.begin_ns) * 1e-9),
               std::string(to_string(event.severity)), escaped(event.kind), escaped(event.text)});
-  write_more(page, events.size());
+  page.more(events.size(), list_length);
+  page.fold_end();
 }
 
 }  // namespace

@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "analysis/format.h"
+#include "analysis/prefix.h"
 
 namespace energyprof::analysis {
 
@@ -22,16 +23,25 @@ namespace {
 
 std::string percent(double ratio) { return fmt::format("{:.3g} %", 100 * ratio); }
 
+/// Counts have no thousandths: "4.93 M", "511", "0.0163".
+std::string count_text(double value) {
+  if (std::fabs(value) < 999.5) return fmt::format("{:.3g}", value);
+  std::string text = scaled(value, "");
+  return text.ends_with(' ') ? text.substr(0, text.size() - 1) : text;
+}
+
 std::string counter_text(const SensorSummary& sensor) {
   if (sensor.update_count == 0) return "never moved";
+  if (sensor.channel.unit == Unit::count)
+    return count_text(*sensor.increase) +
+           (sensor.mean_rate ? fmt::format(", {}/s", count_text(*sensor.mean_rate)) : "");
   std::string text = scaled_stored(*sensor.increase, sensor.unit);
   if (sensor.increase_error_j) text += " ± " + scaled(*sensor.increase_error_j, "J");
   if (!sensor.mean_rate) return text;
   const std::string_view si = unit_info(sensor.channel.unit).si;
   if (si == "J") return fmt::format("{}, {} on average", text, scaled(*sensor.mean_rate, "W"));
   if (si == "s") return fmt::format("{}, {} of the time", text, percent(*sensor.mean_rate));
-  if (si == "B" || sensor.channel.unit == Unit::count)
-    return fmt::format("{}, {}", text, scaled(*sensor.mean_rate, si == "B" ? "B/s" : "/s"));
+  if (si == "B") return fmt::format("{}, {}", text, scaled(*sensor.mean_rate, "B/s"));
   return text;
 }
 
@@ -219,20 +229,36 @@ std::string outlier_text(const Analysis& analysis) {
 namespace {
 
 std::string evidence_value(double value, const std::string& unit) {
-  if (unit == "1") return fmt::format("{:.0f} % of the time", 100 * value);
+  if (unit == "1") return fmt::format("{:.0f} %", 100 * value);
   if (unit == "s/s") return fmt::format("{:.3g} s/s", value);
-  return unit == "count" || unit == "count/s" ? fmt::format("{:.3g}{}", value, unit.substr(5))
+  return unit == "count" || unit == "count/s" ? count_text(value) + unit.substr(5)
                                               : scaled(value, unit);
 }
 
 }  // namespace
 
+std::string evidence_text(const Evidence& seen) {
+  const std::string value = evidence_value(seen.value, seen.unit);
+  const bool is_flag = seen.unit == "1";
+  std::string text = seen.channel;
+  if (!is_flag)
+    text += " " + value;
+  else
+    text += seen.value == 0 ? " not set" : " set " + value + " of the time";
+  if (!seen.expected) return text;
+  if (value == evidence_value(*seen.expected, seen.unit)) return text + ", as usual";
+  return text + " instead of " + evidence_value(*seen.expected, seen.unit);
+}
+
 std::string evidence_text(const Attribution& attribution) {
-  if (attribution.evidence.empty()) return {};
-  const Evidence& seen = attribution.evidence.front();
-  std::string text = fmt::format("{} {}", seen.channel, evidence_value(seen.value, seen.unit));
-  if (seen.expected) text += " instead of " + evidence_value(*seen.expected, seen.unit);
-  return text;
+  return attribution.evidence.empty() ? std::string() : evidence_text(attribution.evidence.front());
+}
+
+std::string confidence_text(double confidence) {
+  // Rounding must not turn much into certainty.
+  if (confidence >= 0.995) return "> 0.99";
+  if (confidence > 0 && confidence < 0.005) return "< 0.01";
+  return fmt::format("{:.2f}", confidence);
 }
 
 std::vector<std::string> throttling_text(const RunRecord& run, const Throttling& throttling) {
@@ -256,9 +282,16 @@ std::vector<std::string> throttling_text(const RunRecord& run, const Throttling&
 std::string estimate_text(const std::optional<Estimate>& estimate, double factor,
                           std::string_view unit) {
   if (!estimate) return "-";
-  return fmt::format("{} ({} to {})", scaled(estimate->value * factor, unit),
-                     scaled(estimate->interval.low * factor, unit),
-                     scaled(estimate->interval.high * factor, unit));
+  const double value = estimate->value * factor;
+  const double low = estimate->interval.low * factor;
+  const double high = estimate->interval.high * factor;
+  const double size = std::max({std::fabs(value), std::fabs(low), std::fabs(high)});
+  const Prefix prefix = prefix_of(size);
+  // As many for all three, so that they can be compared.
+  const int decimals = three_digit_decimals(size / prefix.factor);
+  return fmt::format("{:.{}f} {}{} ({:.{}f} to {:.{}f})", value / prefix.factor, decimals,
+                     prefix.symbol, unit, low / prefix.factor, decimals, high / prefix.factor,
+                     decimals);
 }
 
 std::string energy_text(const Analysis& analysis) {
@@ -388,21 +421,21 @@ std::optional<EnergyOfAlgorithm> energy_of(const Analysis& analysis, std::string
     if (row.algorithm != algorithm) continue;
     if (!row.nj_per_ray) return std::nullopt;
     energy.nj_per_ray += row.nj_per_ray->value;
-    energy.interval = row.nj_per_ray->interval;
+    energy.interval.low += row.nj_per_ray->interval.low;
+    energy.interval.high += row.nj_per_ray->interval.high;
     ++energy.model_count;
   }
   if (energy.model_count == 0) return std::nullopt;
-  energy.nj_per_ray /= static_cast<double>(energy.model_count);
-  if (energy.model_count > 1) energy.interval.reset();
+  const auto count = static_cast<double>(energy.model_count);
+  energy.nj_per_ray /= count;
+  energy.interval = {energy.interval.low / count, energy.interval.high / count};
   return energy;
 }
 
 std::string energy_of_text(const Analysis& analysis, std::string_view algorithm) {
   const auto energy = energy_of(analysis, algorithm);
   if (!energy) return "-";
-  if (energy->interval)
-    return estimate_text(Estimate{energy->nj_per_ray, *energy->interval}, 1e-9, "J");
-  return nanojoules(energy->nj_per_ray);
+  return estimate_text(Estimate{energy->nj_per_ray, energy->interval}, 1e-9, "J");
 }
 
 std::vector<std::string> answer_text(const Analysis& analysis) {

@@ -45,27 +45,32 @@ std::string idle_text(const Analysis& analysis);
 /// were timed and none was slow; empty without timed frames.
 std::string outlier_text(const Analysis& analysis);
 
-/// What decided on the cause of an outlier: "i915.gt0.act_freq 650 MHz instead of 1.30 GHz"; empty
-/// without evidence.
+/// "i915.gt0.act_freq 650 MHz instead of 1.30 GHz", "i915.gt0.throttle.pl1 not set, as usual".
+std::string evidence_text(const Evidence& seen);
+/// What decided on the cause of an outlier; empty without evidence.
 std::string evidence_text(const Attribution& attribution);
+/// "0.93", "> 0.99": two digits, never 1 and never 0 unless it is.
+std::string confidence_text(double confidence);
 
 /// Why frames were held back, how often, and how well that could be seen: a sentence per source
 /// that was ever set.
 std::vector<std::string> throttling_text(const RunRecord& run, const Throttling& throttling);
-/// "12.3 mJ (12.0 mJ to 12.6 mJ)": a value in `unit` with its interval; "-" where there is none.
+/// "12.3 mJ (12.0 to 12.6)": a value in `unit` with its interval; "-" where there is none.
 std::string estimate_text(const std::optional<Estimate>& estimate, double factor,
                           std::string_view unit);
 
 /// What an algorithm needs above idle, over all its models.
 struct EnergyOfAlgorithm {
-  double nj_per_ray = 0;             ///< mean over models
-  std::optional<Interval> interval;  ///< 95 %; with one model only
+  double nj_per_ray = 0;  ///< mean over models
+  /// 95 %: the means of the models' bounds, which is wide enough also where their errors go
+  /// together.
+  Interval interval;
   std::size_t model_count = 0;
 };
 /// nullopt where a model has no number.
 std::optional<EnergyOfAlgorithm> energy_of(const Analysis& analysis, std::string_view algorithm);
 
-/// The same in words: "12.3 nJ (12.0 nJ to 12.6 nJ)"; "-" where there is none.
+/// The same in words: "12.3 nJ (12.0 to 12.6)"; "-" where there is none.
 std::string energy_of_text(const Analysis& analysis, std::string_view algorithm);
 
 /// The answer in three sentences: what wins in time and in energy, what the outliers come from,

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <nlohmann/json.hpp>
 #include <ostream>
 #include <set>
@@ -11,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "analysis/join_spans.h"
 #include "analysis/run_facts.h"
 #include "analysis/series.h"
 
@@ -36,7 +38,7 @@ std::string dump(const json& value) {
 class Writer {
  public:
   Writer(std::ostream& out, int64_t origin_ns) : out_(out), origin_ns_(origin_ns) {
-    out_ << "{\"displayTimeUnit\":\"ms\",\"traceEvents\":[";
+    append("{\"displayTimeUnit\":\"ms\",\"traceEvents\":[");
   }
 
   void name_process(int pid, const std::string& name, int sort_index) {
@@ -50,36 +52,91 @@ class Writer {
   }
   void slice(int tid, const std::string& name, const char* category, int64_t begin_ns,
              int64_t end_ns, const json& args) {
-    event(fmt::format(
-        R"({{"ph":"X","pid":{},"tid":{},"name":{},"cat":"{}","ts":{},"dur":{},"args":{}}})",
-        work_pid, tid, dump(name), category, us(begin_ns - origin_ns_), us(end_ns - begin_ns),
-        dump(args)));
+    begin_event();
+    fmt::format_to(std::back_inserter(text_),
+                   R"({{"ph":"X","pid":{},"tid":{},"name":{},"cat":"{}","ts":)", work_pid, tid,
+                   dump(name), category);
+    append_us(begin_ns - origin_ns_);
+    append(",\"dur\":");
+    append_us(end_ns - begin_ns);
+    append(",\"args\":");
+    append(dump(args));
+    append("}");
   }
-  void counter(int pid, const std::string& quoted_name, int64_t t_ns, double value) {
-    event(fmt::format(R"({{"ph":"C","pid":{},"tid":0,"name":{},"ts":{},"args":{{"value":{}}}}})",
-                      pid, quoted_name, us(t_ns - origin_ns_), value));
+  /// A curve as a track of its own.
+  void counters(int pid, const std::string& name, const Curve& curve) {
+    const std::string head =
+        fmt::format(R"({{"ph":"C","pid":{},"tid":0,"name":{},"ts":)", pid, dump(name));
+    for (std::size_t i = 0; i < curve.t_ns.size(); ++i) {
+      if (!std::isfinite(curve.value[i])) continue;
+      begin_event();
+      append(head);
+      append_us(curve.t_ns[i] - origin_ns_);
+      append(",\"args\":{\"value\":");
+      append_number(curve.value[i]);
+      append("}}");
+    }
   }
   void instant(const std::string& name, const char* category, int64_t t_ns, const json& args) {
-    event(fmt::format(
-        R"({{"ph":"i","s":"g","pid":{},"tid":{},"name":{},"cat":"{}","ts":{},"args":{}}})",
-        work_pid, events_tid, dump(name), category, us(t_ns - origin_ns_), dump(args)));
+    begin_event();
+    fmt::format_to(std::back_inserter(text_),
+                   R"({{"ph":"i","s":"g","pid":{},"tid":{},"name":{},"cat":"{}","ts":)", work_pid,
+                   events_tid, dump(name), category);
+    append_us(t_ns - origin_ns_);
+    append(",\"args\":");
+    append(dump(args));
+    append("}");
   }
-  void finish(const json& metadata) { out_ << "\n],\n\"otherData\":" << dump(metadata) << "}\n"; }
+  void finish(const json& metadata) {
+    append("\n],\n\"otherData\":");
+    append(dump(metadata));
+    append("}\n");
+    flush();
+  }
 
  private:
   void metadata(int pid, int tid, const char* kind, const json& args) {
-    event(fmt::format(R"({{"ph":"M","pid":{},"tid":{},"name":"{}","args":{}}})", pid, tid, kind,
-                      dump(args)));
+    begin_event();
+    fmt::format_to(std::back_inserter(text_),
+                   R"({{"ph":"M","pid":{},"tid":{},"name":"{}","args":{}}})", pid, tid, kind,
+                   dump(args));
   }
-  void event(const std::string& text) {
-    out_ << (first_ ? "\n" : ",\n") << text;
+  void begin_event() {
+    constexpr std::size_t chunk_bytes = 1 << 16;
+    if (text_.size() >= chunk_bytes) flush();
+    append(first_ ? "\n" : ",\n");
     first_ = false;
   }
+  void append(std::string_view text) { text_.append(text.data(), text.data() + text.size()); }
+  void append_integer(int64_t number) {
+    const fmt::format_int digits(number);
+    append({digits.data(), digits.size()});
+  }
   /// Microseconds of a non-negative time, exact to the nanosecond.
-  static std::string us(int64_t t_ns) { return fmt::format("{}.{:03}", t_ns / 1000, t_ns % 1000); }
+  void append_us(int64_t t_ns) {
+    append_integer(t_ns / 1000);
+    const auto rest = static_cast<int>(t_ns % 1000);
+    const char digits[4] = {'.', static_cast<char>('0' + rest / 100),
+                            static_cast<char>('0' + rest / 10 % 10),
+                            static_cast<char>('0' + rest % 10)};
+    append({digits, sizeof digits});
+  }
+  /// The shortest text that reads as `value`.
+  void append_number(double value) {
+    // Most readings are whole, and quicker to write as such.
+    if (std::fabs(value) < 1e15 && value == std::trunc(value))
+      append_integer(static_cast<int64_t>(value));
+    else
+      fmt::format_to(std::back_inserter(text_), "{}", value);
+  }
+  void flush() {
+    out_.write(text_.data(), static_cast<std::streamsize>(text_.size()));
+    text_.clear();
+  }
 
   std::ostream& out_;
   int64_t origin_ns_;
+  fmt::memory_buffer text_;
   bool first_ = true;
 };
 
@@ -95,7 +152,7 @@ struct Range {
   int64_t end_ns = 0;
 };
 
-Range time_range(const RunRecord& run, const RunFacts& facts) {
+Range time_range(const RunRecord& run, const RunFacts& facts, const Analysis* analysis) {
   Range range{facts.begin_ns, facts.end_ns};
   const auto include = [&](int64_t t_ns) {
     range.begin_ns = std::min(range.begin_ns, t_ns);
@@ -107,6 +164,10 @@ Range time_range(const RunRecord& run, const RunFacts& facts) {
     include(frame.end_ns);
   }
   for (const Event& event : run.events) include(event.t_ns);
+  if (facts.command && facts.command->begin_ns) include(*facts.command->begin_ns);
+  if (analysis != nullptr)
+    for (const ThrottleSource& source : analysis->throttling.sources)
+      if (!source.active.spans().empty()) include(source.active.spans().front().begin_ns);
   for (const auto& [id, series] : run.series)
     if (!series.t_ns.empty()) include(series.t_ns.front());
   return range;
@@ -166,9 +227,9 @@ void write_command(const RunFacts& facts, const Range& range, Writer& writer) {
   json args = json::object();
   put(args, "exit_code", facts.command->exit_code);
   put(args, "signal", facts.command->signal);
-  writer.slice(trials_tid, facts.command->text, "command",
-               facts.command->begin_ns.value_or(range.begin_ns),
-               facts.command->end_ns.value_or(range.end_ns), args);
+  const int64_t begin_ns = facts.command->begin_ns.value_or(range.begin_ns);
+  writer.slice(trials_tid, facts.command->text, "command", begin_ns,
+               std::max(begin_ns, facts.command->end_ns.value_or(range.end_ns)), args);
 }
 
 json frame_args(const FrameRecord& frame) {
@@ -200,21 +261,104 @@ void add_outlier(const Outlier& outlier, json& args) {
   args["ratio"] = outlier.ratio;
 }
 
-void write_throttling(const RunRecord& run, const Throttling& throttling, Writer& writer) {
+/// How many events of each sort a file may hold, and what was left out for that, in words.
+struct Budget {
+  std::size_t frames;
+  std::size_t throttle_slices;  ///< of one source
+  std::size_t instants;
+  std::size_t points;  ///< of one curve
+  std::string frames_text = "all";
+  std::string throttling_text = "every interval";
+  std::string events_text = "all";
+};
+
+std::size_t curve_count(const RunRecord& run) {
+  std::size_t count = 0;
+  for (const Channel& channel : run.channels) {
+    if (!run.series.contains(channel.id)) continue;
+    count += channel.quantity == Quantity::energy && channel.kind == Kind::cumulative ? 2 : 1;
+  }
+  return count;
+}
+
+/// Frames first, outliers above all; then throttling and events; counters get what is left.
+Budget share_events(const RunRecord& run, const TimelineConfig& config, const Analysis* analysis) {
+  constexpr std::size_t all = SIZE_MAX;
+  if (config.full) return {all, all, all, all};
+  std::size_t source_count = 0;
+  std::size_t span_count = 0;
+  std::size_t outlier_count = 0;
+  if (analysis != nullptr) {
+    outlier_count = analysis->outliers.size();
+    for (const ThrottleSource& source : analysis->throttling.sources) {
+      source_count += source.active.spans().empty() ? 0 : 1;
+      span_count += source.active.spans().size();
+    }
+  }
+  const std::size_t most = config.max_event_count;
+  Budget budget{};
+  budget.frames = std::clamp(outlier_count, most * 4 / 10, most * 7 / 10);
+  budget.throttle_slices =
+      span_count <= most / 10 ? all : most / 10 / std::max<std::size_t>(1, source_count);
+  budget.instants = most / 20;
+  // Names of tracks take little; trials are as many as they are.
+  std::size_t taken = run.trials.size() + 8 * (curve_count(run) + source_count + 16);
+  taken += std::min(run.frames.size(), budget.frames) + std::min(span_count, most / 10) +
+           std::min(run.events.size(), budget.instants);
+  const std::size_t left = most - std::min(most, taken);
+  budget.points = std::clamp<std::size_t>(left / std::max<std::size_t>(1, curve_count(run)), 2,
+                                          config.max_point_count);
+  return budget;
+}
+
+void write_throttling(const RunRecord& run, const Throttling& throttling, Budget& budget,
+                      Writer& writer) {
   int tid = first_throttle_tid;
+  int64_t longest_closed_ns = 0;
   for (const ThrottleSource& source : throttling.sources) {
     if (source.active.spans().empty()) continue;
     const std::string& channel = run.channels[source.channel].name;
     writer.name_thread(work_pid, tid, "throttled: " + channel);
     const json args{{"channel", channel}, {"inferred", source.inferred}};
-    for (const Span& span : source.active.spans())
+    const auto [spans, closed_ns] = join_spans(source.active.spans(), budget.throttle_slices);
+    longest_closed_ns = std::max(longest_closed_ns, closed_ns);
+    for (const Span& span : spans)
       writer.slice(tid, std::string(to_string(source.reason)), "throttle", span.begin_ns,
                    span.end_ns, args);
     ++tid;
   }
+  if (longest_closed_ns > 0)
+    budget.throttling_text =
+        fmt::format("gaps up to {} us are closed", static_cast<double>(longest_closed_ns) * 1e-3);
 }
 
-void write_frames(const RunRecord& run, const Analysis* analysis, Writer& writer) {
+/// Which of `frames`, sorted by time, to write: the outliers, and of the others the shortest and
+/// the longest of equal stretches of time.
+std::vector<std::size_t> choose_frames(
+    const std::vector<const FrameRecord*>& frames,
+    const std::unordered_map<const FrameRecord*, const Outlier*>& outliers, Budget& budget) {
+  std::vector<int64_t> begin_ns;
+  std::vector<double> duration_ns;
+  std::vector<std::size_t> slow;
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    begin_ns.push_back(frames[i]->begin_ns);
+    duration_ns.push_back(static_cast<double>(frames[i]->end_ns - frames[i]->begin_ns));
+    if (outliers.contains(frames[i])) slow.push_back(i);
+  }
+  const std::size_t rest = budget.frames - std::min(budget.frames, slow.size());
+  const std::vector<std::size_t> thinned =
+      thin_points(begin_ns, duration_ns, std::max<std::size_t>(2, rest));
+  std::vector<std::size_t> chosen;
+  std::set_union(thinned.begin(), thinned.end(), slow.begin(), slow.end(),
+                 std::back_inserter(chosen));
+  budget.frames_text = fmt::format(
+      "{} of {}: every outlier, and of the others the shortest and the longest of equal stretches "
+      "of time",
+      chosen.size(), frames.size());
+  return chosen;
+}
+
+void write_frames(const RunRecord& run, const Analysis* analysis, Budget& budget, Writer& writer) {
   std::unordered_map<const FrameRecord*, const Outlier*> outliers;
   if (analysis != nullptr)
     for (const Outlier& outlier : analysis->outliers)
@@ -226,6 +370,11 @@ void write_frames(const RunRecord& run, const Analysis* analysis, Writer& writer
   std::stable_sort(frames.begin(), frames.end(), [](const FrameRecord* a, const FrameRecord* b) {
     return a->begin_ns < b->begin_ns;
   });
+  if (frames.size() > budget.frames) {
+    std::vector<const FrameRecord*> chosen;
+    for (const std::size_t i : choose_frames(frames, outliers, budget)) chosen.push_back(frames[i]);
+    frames = std::move(chosen);
+  }
   Track track;
   for (const FrameRecord* frame : frames) {
     json args = frame_args(*frame);
@@ -239,26 +388,20 @@ void write_frames(const RunRecord& run, const Analysis* analysis, Writer& writer
   }
 }
 
-void write_curve(int pid, const std::string& name, const Curve& curve, Writer& writer) {
-  const std::string quoted_name = dump(name);
-  for (std::size_t i = 0; i < curve.t_ns.size(); ++i)
-    if (std::isfinite(curve.value[i]))
-      writer.counter(pid, quoted_name, curve.t_ns[i], curve.value[i]);
-}
-
-void write_channel(const Channel& channel, const SampleSeries& series, const TimelineConfig& config,
-                   Writer& writer) {
+void write_channel(const Channel& channel, const SampleSeries& series, const Budget& budget,
+                   bool full, Writer& writer) {
   const int pid = pid_of(channel.quantity);
   Curve curve{series.t_ns, series.value, stored_unit(channel)};
-  if (!config.full) curve = thin(changes_only(curve), config.max_point_count);
-  write_curve(pid, fmt::format("{} [{}]", channel.name, curve.unit), curve, writer);
+  if (!full) curve = thin(changes_only(curve), budget.points);
+  writer.counters(pid, fmt::format("{} [{}]", channel.name, curve.unit), curve);
   if (channel.quantity != Quantity::energy || channel.kind != Kind::cumulative) return;
-  const auto power = rate(channel, series);
-  if (power)
-    write_curve(pid, fmt::format("{} as power [{}]", channel.name, power->unit), *power, writer);
+  auto power = rate(channel, series);
+  if (!power) return;
+  if (!full) *power = thin(*power, budget.points);
+  writer.counters(pid, fmt::format("{} as power [{}]", channel.name, power->unit), *power);
 }
 
-void write_channels(const RunRecord& run, const TimelineConfig& config, Writer& writer) {
+void write_channels(const RunRecord& run, const Budget& budget, bool full, Writer& writer) {
   std::set<Quantity> named;
   for (const Channel& channel : run.channels) {
     const auto series = run.series.find(channel.id);
@@ -267,33 +410,50 @@ void write_channels(const RunRecord& run, const TimelineConfig& config, Writer& 
       const int pid = pid_of(channel.quantity);
       writer.name_process(pid, fmt::format("sensors: {}", to_string(channel.quantity)), pid);
     }
-    write_channel(channel, series->second, config, writer);
+    write_channel(channel, series->second, budget, full, writer);
   }
 }
 
-void write_events(const RunRecord& run, Writer& writer) {
-  for (const Event& event : run.events) {
-    json args{{"severity", to_string(event.severity)}, {"kind", event.kind}, {"text", event.text}};
-    if (event.end_ns) args["duration_us"] = static_cast<double>(*event.end_ns - event.t_ns) * 1e-3;
-    writer.instant(event.kind.empty() ? event.text : event.kind, "event", event.t_ns, args);
+/// Beyond its budget the gravest, and of equal gravity the first.
+void write_events(const RunRecord& run, Budget& budget, Writer& writer) {
+  std::vector<const Event*> events;
+  for (const Event& event : run.events) events.push_back(&event);
+  if (events.size() > budget.instants) {
+    std::stable_sort(events.begin(), events.end(),
+                     [](const Event* a, const Event* b) { return a->severity > b->severity; });
+    budget.events_text =
+        fmt::format("{} of {}, the gravest and the first", budget.instants, events.size());
+    events.resize(budget.instants);
+  }
+  std::stable_sort(events.begin(), events.end(),
+                   [](const Event* a, const Event* b) { return a->t_ns < b->t_ns; });
+  for (const Event* event : events) {
+    json args{
+        {"severity", to_string(event->severity)}, {"kind", event->kind}, {"text", event->text}};
+    if (event->end_ns)
+      args["duration_us"] = static_cast<double>(*event->end_ns - event->t_ns) * 1e-3;
+    writer.instant(event->kind.empty() ? event->text : event->kind, "event", event->t_ns, args);
   }
 }
 
-json file_metadata(const RunFacts& facts, const Range& range, const TimelineConfig& config) {
+json file_metadata(const RunFacts& facts, const Range& range, const Budget& budget, bool full) {
   json flags = json::array();
   for (const Flag& flag : read_flags(facts)) flags.push_back(flag.label);
   const std::string samples =
-      config.full ? "every sample"
-                  : fmt::format(
-                        "changes only; beyond {} per channel the lowest and the highest of "
-                        "equal stretches of time",
-                        config.max_point_count);
+      full ? "every sample"
+           : fmt::format(
+                 "changes only; beyond {} per channel the lowest and the highest of equal "
+                 "stretches of time",
+                 budget.points);
   json metadata{{"producer", "energyprof"},
                 {"device", facts.device},
                 {"host", facts.host},
                 {"flags", flags},
                 {"clock", "CLOCK_MONOTONIC"},
                 {"origin_ns", range.begin_ns},
+                {"frames", budget.frames_text},
+                {"throttling", budget.throttling_text},
+                {"events", budget.events_text},
                 {"samples", samples},
                 {"power", "mean over windows of at least 20 polls and 20 sensor updates"}};
   put(metadata, "config", facts.name);
@@ -308,7 +468,8 @@ void write_timeline(const RunRecord& run, std::ostream& out, const TimelineConfi
                     const Analysis* analysis) {
   std::vector<std::string> warnings;  // of the meta table; the reports show them
   const RunFacts facts = read_facts(run, warnings);
-  const Range range = time_range(run, facts);
+  const Range range = time_range(run, facts, analysis);
+  Budget budget = share_events(run, config, analysis);
   Writer writer(out, range.begin_ns);
   writer.name_process(work_pid, "work", work_pid);
   writer.name_thread(work_pid, trials_tid, facts.command ? "command" : "trials");
@@ -316,11 +477,11 @@ void write_timeline(const RunRecord& run, std::ostream& out, const TimelineConfi
   writer.name_thread(work_pid, events_tid, "events");
   write_trials(run, range, writer);
   write_command(facts, range, writer);
-  write_frames(run, analysis, writer);
-  if (analysis != nullptr) write_throttling(run, analysis->throttling, writer);
-  write_events(run, writer);
-  write_channels(run, config, writer);
-  writer.finish(file_metadata(facts, range, config));
+  write_frames(run, analysis, budget, writer);
+  if (analysis != nullptr) write_throttling(run, analysis->throttling, budget, writer);
+  write_events(run, budget, writer);
+  write_channels(run, budget, config.full, writer);
+  writer.finish(file_metadata(facts, range, budget, config.full));
 }
 
 }  // namespace energyprof::analysis

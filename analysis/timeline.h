@@ -20,6 +20,9 @@ struct TimelineConfig {
   /// the lowest and the highest of equal stretches of time; the file's metadata says which it is.
   bool full = false;
   std::size_t max_point_count = 5000;  ///< per channel
+  /// Of the whole file, unless `full`. Beyond it normal frames are thinned like samples, the
+  /// shortest gaps in throttling closed, and further channels get fewer points; outliers stay.
+  std::size_t max_event_count = 1'000'000;
 };
 
 /// Writes the timeline piece by piece. Slices on a track never overlap: one that would begin before

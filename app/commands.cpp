@@ -7,6 +7,7 @@
 #include <filesystem>
 
 #include "accel/models.h"
+#include "analysis/analyze_frames.h"
 #include "analysis/compare.h"
 #include "analysis/write_reports.h"
 #include "app/config.h"
@@ -69,7 +70,7 @@ int export_command(const ExportOptions& options) {
     const fs::path file = options.out.empty() ? dir / "timeline.json" : fs::path(options.out);
     analysis::TimelineConfig config;
     config.full = options.full;
-    const analysis::Analysis result = analysis::analyze(run);
+    const analysis::Analysis result = analysis::analyze_frames(run);
     analysis::export_timeline(run, file, config, &result);
     fmt::print("{}\n", file.string());
     return 0;

@@ -33,18 +33,45 @@
 
   const prefixes = [[1e9, "G"], [1e6, "M"], [1e3, "k"], [1, ""], [1e-3, "m"], [1e-6, "µ"], [1e-9, "n"]];
 
-  // Three digits and a prefix: scaled(0.0031, "s") is "3.1 ms".
+  const prefixOf = (size) => prefixes.find(([least]) => size >= 0.9995 * least) || prefixes[prefixes.length - 1];
+
+  // Of three digits in all, those behind the point of a number from 1 to 999.
+  const decimalsOf = (size) => (size >= 99.95 ? 0 : size >= 9.995 ? 1 : 2);
+
+  // Three digits and a prefix: scaled(0.0031, "s") is "3.10 ms".
   function scaled(value, unit) {
     const size = Math.abs(value);
     if (size === 0 || unit === "°C" || unit === "%") return `${+value.toPrecision(3)} ${unit}`;
-    const [factor, prefix] = prefixes.find(([least]) => size >= least) || prefixes[prefixes.length - 1];
-    return `${+(value / factor).toPrecision(3)} ${prefix}${unit}`;
+    const [factor, prefix] = prefixOf(size);
+    return `${(value / factor).toFixed(decimalsOf(size / factor))} ${prefix}${unit}`;
   }
 
-  const scaledMs = (value) => (value >= 1000 ? `${+(value / 1000).toPrecision(3)} s` : scaled(value * 1e-3, "s"));
+  // Without trailing zeros, for axes.
+  const axisMs = (value) => {
+    if (value === 0) return "0";
+    const [factor, prefix] = value >= 1000 ? [1, ""] : prefixOf(Math.abs(value) * 1e-3);
+    return `${+(value * 1e-3 / factor).toPrecision(3)} ${prefix}s`;
+  };
+  const scaledMs = (value) => scaled(value * 1e-3, "s");
   const percent = (ratio) => (ratio === null ? "-" : `${+(100 * ratio).toPrecision(3)} %`);
-  const estimate = ({ value, low, high }, factor, unit) => (value === null ? "-"
-    : `${scaled(value * factor, unit)} (${scaled(low * factor, unit)} to ${scaled(high * factor, unit)})`);
+
+  // A value and below it what it is uncertain by.
+  const withRange = (value, between) => make("span", {}, value, ...(between ? [make("small", {}, between)] : []));
+
+  // [value, interval] with one prefix for all.
+  function estimated({ value, low, high }, factor, unit) {
+    if (value === null) return ["-", ""];
+    const [scale, prefix] = prefixOf(factor * Math.max(Math.abs(value), Math.abs(low), Math.abs(high)));
+    const numbers = [value, low, high].map((number) => (number * factor) / scale);
+    const decimals = decimalsOf(Math.max(...numbers.map(Math.abs)));
+    const [middle, from, to] = numbers.map((number) => number.toFixed(decimals));
+    return [`${middle} ${prefix}${unit}`, `${from} to ${to}`];
+  }
+  const estimate = (value, factor, unit) => withRange(...estimated(value, factor, unit));
+  const estimateText = (value, factor, unit) => {
+    const [text, between] = estimated(value, factor, unit);
+    return between ? `${text} (${between})` : text;
+  };
   const plural = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
 
   // columns: {title, unit, right, header, wide, value(row), tone(row)}; value gives text or a node.
@@ -66,7 +93,7 @@
       }
       return line;
     });
-    const grid = make("table", {}, make("caption", {}, caption), make("thead", {}, head),
+    const grid = make("table", {}, make("caption", {}, make("span", {}, caption)), make("thead", {}, head),
       make("tbody", {}, ...lines));
     const scroll = make("div", { className: "scroll", tabIndex: 0 }, grid);
     scroll.setAttribute("role", "region");
@@ -90,15 +117,21 @@
     light: ["#c01f2e", "#c4500a", "#8a6a00", "#0072b2", "#6b5bb5", "#00855f", "#5d6670"],
     dark: ["#ff8a8a", "#f0a04a", "#e2c044", "#5aaee8", "#b0a3f0", "#3fc79a", "#b4bec8"],
   };
-  const causeSymbols = ["triangle", "rect", "roundRect", "diamond", "pin", "arrow", "circle"];
-  const bandColors = { power: "#c4500a", thermal: "#c01f2e", other: "#8a6a00" };
+  const causeSymbols = ["triangle", "rect", "diamond",
+    "path://M-1,-3h2v2h2v2h-2v2h-2v-2h-2v-2h2z", "path://M-3,-2L-2,-3L0,-1L2,-3L3,-2L1,0L3,2L2,3L0,1L-2,3L-3,2L-1,0z",
+    "path://M-3,-3L3,-3L0,3z", "circle"];
+  const causeGlyphs = ["\u25b2", "\u25a0", "\u25c6", "\u271a", "\u2716", "\u25bc", "\u25cf"];
+  const bandColors = {
+    light: { power: "#c4500a", thermal: "#c01f2e", other: "#8a6a00" },
+    dark: { power: "#f0a04a", thermal: "#ff8a8a", other: "#e2c044" },
+  };
   const darkQuery = window.matchMedia("(prefers-color-scheme: dark)");
   let printing = false;
   const theme = () => (darkQuery.matches && !printing ? "dark" : "light");
   const palette = () => palettes[theme()];
   const causeColor = (cause) => causeColors[theme()][cause];
   const bandColor = (name) =>
-    bandColors[name.startsWith("power") ? "power" : name === "thermal" ? "thermal" : "other"];
+    bandColors[theme()][name.startsWith("power") ? "power" : name === "thermal" ? "thermal" : "other"];
   const algorithms = [...new Set(report.cells.map((cell) => cell.algorithm))];
   const colorOf = (algorithm) => palette()[algorithms.indexOf(algorithm) % palette().length];
 
@@ -112,7 +145,7 @@
     for (const node of document.querySelectorAll("[data-algorithm]"))
       node.style.background = colorOf(node.dataset.algorithm);
     for (const node of document.querySelectorAll("[data-cause]"))
-      node.style.background = causeColor(Number(node.dataset.cause));
+      node.style.color = causeColor(Number(node.dataset.cause));
   }
 
   function named(algorithm) {
@@ -122,40 +155,92 @@
   }
 
   function causeNamed(cause) {
-    const mark = make("span", { className: "key" });
+    const mark = make("span", { className: "glyph", ariaHidden: "true" }, causeGlyphs[cause]);
     mark.dataset.cause = cause;
     return make("span", { className: "named" }, mark, data.causes[cause]);
   }
 
-  // ---- outliers: columns in data.outliers
+  // ---- frames and outliers, packed by report_html.cpp
 
-  const outliers = data.outliers;
-  const outlierCount = outliers.ms.length;
+  function reader(text) {
+    const bytes = atob(text);
+    let at = 0;
+    return () => {
+      let number = 0;
+      let place = 1;
+      let byte = 128;
+      for (; byte > 127; place *= 128) {
+        byte = bytes.charCodeAt(at++);
+        number += (byte & 127) * place;
+      }
+      return number % 2 === 1 ? -(number + 1) / 2 : number / 2;
+    };
+  }
+
+  const outliers = { cell: [], frame: [], t_s: [], ms: [], excess_ms: [], cause: [], is_stretch: [], confidence_pct: [] };
+
+  // Points of a cell: [seconds, ms, frame, number of the outlier or undefined]; null between trials.
+  function unpack({ unit_ms, count, points: text }, cell) {
+    const next = reader(text);
+    const found = [];
+    let [t, frame, level] = [0, 0, 0];
+    for (let i = 0; i < count; ++i) {
+      const head = next();
+      t += next();
+      frame += next();
+      level += next();
+      if (head % 2 === 1 && found.length > 0) found.push(null);
+      const what = Math.floor(head / 2) - 1;
+      const at = +(t * 1e-5).toFixed(5);
+      if (what < 0) {
+        found.push([at, +(level * unit_ms).toPrecision(6), frame]);
+        continue;
+      }
+      const excess = next();
+      const time = +((level + excess) * unit_ms).toPrecision(6);
+      found.push([at, time, frame, outliers.ms.length]);
+      const values = { cell, frame, t_s: at, ms: time, excess_ms: +(excess * unit_ms).toPrecision(6),
+        cause: Math.floor(what / 2), is_stretch: what % 2, confidence_pct: next() };
+      for (const [name, value] of Object.entries(values)) outliers[name].push(value);
+    }
+    return found;
+  }
+
+  const points = data.frames.map(unpack);
+  const drawnCount = outliers.ms.length;
+  const outlierCount = data.outlier_count;
+  const byTime = [...outliers.t_s.keys()].sort((a, b) => outliers.t_s[a] - outliers.t_s[b]);
   const ratioOf = (index) => +(outliers.ms[index] / (outliers.ms[index] - outliers.excess_ms[index])).toFixed(2);
 
-  const confidence = (index) => (outliers.confidence_pct[index] / 100).toFixed(2);
+  // Rounding must not turn much into certainty.
+  const confidenceText = (value) => (value >= 0.995 ? "> 0.99" : value > 0 && value < 0.005 ? "< 0.01" : value.toFixed(2));
+  const confidence = (index) => confidenceText(outliers.confidence_pct[index] / 100);
 
   function evidenceValue(value, unit) {
     if (unit === "1") return `${+(100 * value).toFixed(0)} %`;
     if (unit === "s/s") return `${+value.toPrecision(3)} s/s`;
-    if (unit.startsWith("count")) return scaled(value, "").trim() + unit.slice(5);
+    if (unit.startsWith("count"))
+      return (Math.abs(value) < 999.5 ? String(+value.toPrecision(3)) : scaled(value, "").trim()) + unit.slice(5);
     return scaled(value, unit);
   }
 
   function evidenceLines(index) {
-    const seen = outliers.evidence[index];
-    if (seen === 0) return ["evidence is in report.json"];
-    if (seen.length === 0) return ["no evidence"];
+    const seen = data.evidence.of[index];
+    if (seen === undefined) return ["in report.json"];
+    if (seen.length === 0) return ["none: no channel told it from a normal frame"];
     return seen.map(([channel, unit, value, expected]) => {
-      const name = outliers.units[unit];
-      return `${outliers.channels[channel]}${name === "1" ? " set" : ""} ${evidenceValue(value, name)}${name === "1" ? " of the time" : ""}`
-        + (expected === null ? "" : ` instead of ${evidenceValue(expected, name)}`);
+      const name = data.evidence.units[unit];
+      const flag = name === "1";
+      const said = flag ? (value === 0 ? "not set" : `set ${evidenceValue(value, name)} of the time`) : evidenceValue(value, name);
+      const usual = expected === null ? "" : evidenceValue(expected, name);
+      return `${data.evidence.channels[channel]} ${said}`
+        + (expected === null ? "" : usual === evidenceValue(value, name) ? ", as usual" : ` instead of ${usual}`);
     });
   }
 
   function outlierText(index) {
     const cell = report.cells[outliers.cell[index]];
-    return `Outlier ${index + 1} of ${outlierCount}, at ${outliers.t_s[index].toFixed(3)} s: ${cell.algorithm}, `
+    return `Outlier at ${outliers.t_s[index].toFixed(3)} s: ${cell.algorithm}, `
       + `${cell.model}, view ${cell.view}, frame ${outliers.frame[index]}, ${scaledMs(outliers.ms[index])}, `
       + `${ratioOf(index)} times its fast regime. Cause: ${data.causes[outliers.cause[index]]}, `
       + `confidence ${confidence(index)}. Evidence: ${evidenceLines(index).join("; ")}.`;
@@ -214,12 +299,12 @@
       { title: "Rank", right: true, value: (row) => String(row.rank) },
       { title: "Algorithm", header: true, value: (row) => named(row.algorithm) },
       { title: "Score", unit: "ms, 95 %", right: true,
-        value: (row) => `${ms(row.score_ms)} (${range(row.score_low_ms, row.score_high_ms, 3)})` },
-      { title: "Normalized", unit: "95 %", right: true, value: (row) => fixed(row.normalized, 3)
-        + (row.rank === 1 ? "" : ` (${range(row.normalized_low, row.normalized_high, 3)})`) },
+        value: (row) => withRange(ms(row.score_ms), range(row.score_low_ms, row.score_high_ms, 3)) },
+      { title: "Normalized", unit: "95 %", right: true, value: (row) => withRange(fixed(row.normalized, 3),
+        row.rank === 1 ? "" : range(row.normalized_low, row.normalized_high, 3)) },
       { title: "Times the best", value: (row) => bar(row, longest) },
       { title: "Net energy", unit: "per ray, 95 %", right: true,
-        value: (row) => data.ranking_energy[report.ranking.indexOf(row)] },
+        value: (row) => withRange(...data.ranking_energy[report.ranking.indexOf(row)].replace(")", "").split(" (")) },
       { title: "Truncated mean", unit: "ms", right: true, value: (row) => ms(row.truncated_mean_ms) },
       { title: "Std. deviation", unit: "ms", right: true, value: (row) => ms(row.stddev_ms) },
     ];
@@ -243,18 +328,16 @@
       { title: "View", right: true, value: (cell) => String(cell.view) },
       { title: "Algorithm", value: (cell) => named(cell.algorithm) },
       { title: "Frames", right: true, value: (cell) => String(cell.frames) },
-      { title: "Median", unit: "ms", right: true, value: (cell) => ms(cell.median_ms) },
-      { title: "95 %", unit: "ms", right: true,
-        value: (cell) => range(cell.median_low_ms, cell.median_high_ms, 3) },
-      { title: "Truncated mean", unit: "ms", right: true, value: (cell) => ms(cell.truncated_mean_ms) },
-      { title: "Std. dev.", unit: "ms", right: true, value: (cell) => ms(cell.stddev_ms) },
+      { title: "Median", unit: "ms, 95 %", right: true, value: (cell) => withRange(ms(cell.median_ms),
+        cell.median_low_ms === null ? "" : range(cell.median_low_ms, cell.median_high_ms, 3)) },
+      { title: "Truncated mean", unit: "std. deviation, ms", right: true,
+        value: (cell) => withRange(ms(cell.truncated_mean_ms), ms(cell.stddev_ms)) },
       { title: "Outliers", right: true, value: (cell) => String(cell.outlier_count),
         tone: (cell) => (cell.outlier_count > 0 ? "bad" : "") },
       { title: "Mrays/s", right: true, value: (cell) => fixed(cell.mrays_per_s, 2) },
-      { title: "Rays", unit: "per frame", right: true, value: (cell) => fixed(cell.rays_per_frame, 0) },
-      { title: "Hits", unit: "%", right: true,
-        value: (cell) => (cell.hit_ratio === null ? "-" : fixed(100 * cell.hit_ratio, 1)) },
-      { title: "Hit checksums", value: checksum,
+      { title: "Rays", unit: "per frame, hits", right: true, value: (cell) => (cell.rays_per_frame === null ? "-"
+        : withRange(Math.round(cell.rays_per_frame).toLocaleString("en"), cell.hit_ratio === null ? "" : `${fixed(100 * cell.hit_ratio, 1)} %`)) },
+      { title: "Checksums", unit: "of hits", value: checksum,
         tone: (cell) => ({ agree: "good", differ: "bad" })[checksum(cell)] },
       { title: "Clock error", unit: "± µs", right: true, value: (cell) => fixed(cell.clock_error_us, 1) },
     ], report.cells));
@@ -285,31 +368,20 @@
     if (data.cache_text) body("work").append(note(data.cache_text));
   }
 
-  function causeRows() {
-    const rows = data.causes.map((name, cause) => ({ cause, count: 0, excess: 0, confidence: 0 }));
-    for (let i = 0; i < outlierCount; ++i) {
-      const row = rows[outliers.cause[i]];
-      row.count += 1;
-      row.excess += outliers.excess_ms[i];
-      row.confidence += outliers.confidence_pct[i] / 100;
-    }
-    return rows.filter((row) => row.count > 0).sort((a, b) => b.excess - a.excess);
-  }
-
   function fillOutliers() {
     const out = body("outliers");
     if (report.cells.length === 0) out.append(note("No timed frame was recorded."));
     else if (outlierCount === 0) out.append(note("No outliers: no timed frame was slow for its trial."));
     else {
-      const total = outliers.excess_ms.reduce((sum, value) => sum + value, 0);
+      const total = data.cause_rows.reduce((sum, row) => sum + row.excess, 0);
       out.append(table(`What made ${plural(outlierCount, "frame")} slow.`, [
         { title: "Cause", header: true, value: (row) => causeNamed(row.cause) },
         { title: "Outliers", right: true, value: (row) => String(row.count) },
         { title: "Share", right: true, value: (row) => percent(row.count / outlierCount) },
         { title: "Time lost", right: true, value: (row) => scaledMs(row.excess) },
         { title: "Share of it", right: true, value: (row) => percent(total > 0 ? row.excess / total : 0) },
-        { title: "Mean confidence", right: true, value: (row) => fixed(row.confidence / row.count, 2) },
-      ], causeRows()));
+        { title: "Mean confidence", right: true, value: (row) => confidenceText(row.confidence / row.count) },
+      ], [...data.cause_rows].sort((a, b) => b.excess - a.excess)));
       const worst = [...outliers.ms.keys()].sort((a, b) => outliers.excess_ms[b] - outliers.excess_ms[a]);
       const shown = worst.slice(0, 12);
       const cellOf = (index) => report.cells[outliers.cell[index]];
@@ -320,9 +392,9 @@
           { title: "Model, view", value: (i) => make("span", { className: "named" }, `${cellOf(i).model}, ${cellOf(i).view}`) },
           { title: "Algorithm", value: (i) => named(cellOf(i).algorithm) },
           { title: "At", unit: "s", right: true, value: (i) => fixed(outliers.t_s[i], 3) },
-          { title: "Time", unit: "ms", right: true, value: (i) => ms(outliers.ms[i]) },
+          { title: "Time", unit: "ms", right: true, value: (i) => String(+outliers.ms[i].toPrecision(5)) },
           { title: "Ratio", right: true, value: (i) => fixed(ratioOf(i), 2) },
-          { title: "Excess", unit: "ms", right: true, value: (i) => ms(outliers.excess_ms[i]) },
+          { title: "Excess", unit: "ms", right: true, value: (i) => String(+outliers.excess_ms[i].toPrecision(4)) },
           { title: "Cause", unit: "confidence, shape", value: (i) => make("div", {}, causeNamed(outliers.cause[i]),
             make("small", {}, `${confidence(i)}, ${outliers.is_stretch[i] ? "stretch" : "spike"}`)) },
           { title: "Evidence", unit: "what decided; where unexplained, what spoke against causes", value: (i) => make("div", { className: "evidence" }, ...evidenceLines(i).map((text) => make("div", {}, text))) },
@@ -389,13 +461,11 @@
     const value = (number) => (number === null ? "-" : number.toPrecision(2));
     return table(caption, [
       { title: "Channel", header: true, value: (row) => row.y },
-      { title: "With", value: (row) => (row.x === "frame_ms" ? "frame time" : row.x) },
-      { title: "Method", value: (row) => row.method },
-      { title: "Coefficient", right: true, value: (row) => fixed(row.coefficient, 2) },
-      { title: "95 %", right: true, value: (row) => range(row.low, row.high, 2) },
+      { title: "With", unit: "method", value: (row) => withRange(row.x === "frame_ms" ? "frame time" : row.x, row.method) },
+      { title: "Coefficient", unit: "95 %", right: true,
+        value: (row) => withRange(fixed(row.coefficient, 2), row.low === null ? "" : range(row.low, row.high, 2)) },
       { title: "Lag", unit: "ms", right: true, value: (row) => fixed(row.lag_ms, 1) },
-      { title: "p", right: true, value: (row) => value(row.p) },
-      { title: "q", right: true, value: (row) => value(row.q) },
+      { title: "q", unit: "p", right: true, value: (row) => withRange(value(row.q), value(row.p)) },
       { title: "Frames", right: true, value: (row) => String(row.n) },
       { title: "Verdict", wide: true, value: (row) => row.verdict },
     ], rows);
@@ -470,25 +540,18 @@
       body("work").append(note("Cached: read from disk; the time is that of its build."));
   }
 
-  function energyColumns(withChannel) {
-    const channel = [
-      { title: "Channel", header: true, value: (row) => row.channel || "-" },
-      { title: "Domain", value: (row) => row.domain || "-" },
-    ];
-    return [
-      ...(withChannel ? channel : []),
-      { title: "Model", header: !withChannel, value: (row) => row.model },
-      { title: "Algorithm", value: (row) => named(row.algorithm) },
-      { title: "Frames", right: true, value: (row) => String(row.frames) },
-      { title: "Net", unit: "per ray, 95 %", right: true, value: (row) => estimate(row.nj_per_ray, 1e-9, "J") },
-      { title: "Net", unit: "per frame, 95 %", right: true, value: (row) => estimate(row.joules_per_frame, 1, "J") },
-      { title: "Gross", unit: "per frame, 95 %", right: true, value: (row) => estimate(row.gross_joules_per_frame, 1, "J") },
-      { title: "EDP", unit: "mJ s", right: true, value: (row) => (row.edp_js === null ? "-" : (1e3 * row.edp_js).toPrecision(3)) },
-      { title: "Idle", unit: "W", right: true, value: (row) => fixed(row.idle_w, 2) },
-      { title: "Above idle", unit: "W", right: true, value: (row) => fixed(row.watts_above_idle, 2) },
-      { title: "Method", wide: true, value: (row) => (row.refused ? `refused: ${row.refused}` : row.method) },
-    ];
-  }
+  const energyTable = (caption, rows) => table(caption, [
+    { title: "Model", header: true, value: (row) => row.model },
+    { title: "Algorithm", value: (row) => named(row.algorithm) },
+    { title: "Frames", right: true, value: (row) => String(row.frames) },
+    { title: "Net", unit: "per ray, 95 %", right: true, value: (row) => estimate(row.nj_per_ray, 1e-9, "J") },
+    { title: "Net", unit: "per frame, 95 %", right: true, value: (row) => estimate(row.joules_per_frame, 1, "J") },
+    { title: "Gross", unit: "per frame, 95 %", right: true, value: (row) => estimate(row.gross_joules_per_frame, 1, "J") },
+    { title: "EDP", unit: "mJ s", right: true, value: (row) => (row.edp_js === null ? "-" : (1e3 * row.edp_js).toPrecision(3)) },
+    { title: "Idle", unit: "W", right: true, value: (row) => fixed(row.idle_w, 2) },
+    { title: "Above idle", unit: "W", right: true, value: (row) => fixed(row.watts_above_idle, 2) },
+    { title: "Method", wide: true, value: (row) => (row.refused ? `refused: ${row.refused}` : row.method) },
+  ], rows);
 
   function fillEnergy() {
     const out = body("energy");
@@ -501,13 +564,17 @@
     if (report.energy.every((row) => row.refused))
       out.append(note(`No energy per frame is given, because ${refused.join("; ")}.`));
     else
-      out.append(note(`${data.energy_text} Dashed: what no other algorithm beats in both time and energy. Bars: 95 %. `
+      out.append(note(`${data.energy_text} Named and joined by a dashed line: what no other algorithm beats in both time and energy. Bars: 95 %. `
         + `${modelsOf(paretoPoints()).map((model, i, all) => `${model}: ${shapeOf(model, all)[1]}`).join("; ")}.`),
-        table("Energy of a frame and of a ray.", energyColumns(false), report.energy));
-    if (report.energy_by_channel.length > report.energy.length)
-      out.append(make("h3", {}, "Every energy channel"),
-        note("Side by side. Some domains contain others (the platform the package, the package its cores and its GPU): they are never summed."),
-        table("Energy on every channel.", energyColumns(true), report.energy_by_channel));
+        energyTable("Energy of a frame and of a ray.", report.energy));
+    if (report.energy_by_channel.length <= report.energy.length) return;
+    out.append(make("h3", {}, "Every energy channel"),
+      note("Side by side. Some domains contain others (the platform the package, the package its cores and its GPU): they are never summed."));
+    for (const channel of new Set(report.energy_by_channel.map((row) => row.channel))) {
+      const rows = report.energy_by_channel.filter((row) => row.channel === channel);
+      const title = `${channel || "no channel"}${rows[0].domain ? `, ${rows[0].domain}` : ""}`;
+      out.append(make("details", {}, make("summary", {}, title), energyTable(`Energy on ${title}.`, rows)));
+    }
   }
 
   function picture(image, caption) {
@@ -528,7 +595,7 @@
     }
     if (data.images.length === 0 && data.named_images.length === 0) out.append(note("The run has no images."));
     if (data.images.some((image) => image.place && image.what !== "reference"))
-      out.append(note("Heat maps: cost per pixel = 0.5 per box test + 1 per triangle test of the primary ray."));
+      out.append(note("Heat maps: cost per pixel = 0.5 per box test + 1 per triangle test of the primary ray. Large pictures are shrunk here; the files in images/ are not."));
     for (const [place, images] of places)
       out.append(make("h3", {}, place), make("div", { className: "pictures" },
         ...images.map((image) => picture(image, image.what
@@ -564,17 +631,15 @@
       return;
     }
     body("sensors").append(table("What was sampled beside the frames.", [
-      { title: "Channel", header: true, value: (row) => row.name },
+      { title: "Channel", unit: "where it comes from", header: true,
+        value: (row) => make("div", { className: "origin" }, row.name, ...(row.origin ? [make("small", {}, row.origin)] : [])) },
       { title: "Quantity", value: (row) => row.quantity },
       { title: "Status", value: (row) => row.status,
         tone: (row) => (row.status === "ok" ? "good" : row.status === "constant" ? "" : "bad") },
-      { title: "Min / mean / max", wide: true, value: (row) => row.values },
-      { title: "Samples", right: true, value: (row) => String(row.samples) },
-      { title: "Changes", right: true, value: (row) => String(row.updates) },
-      { title: "Polled every", right: true, value: (row) => row.polled },
-      { title: "Changes every", right: true, value: (row) => row.updated },
-      { title: "One read costs", right: true, value: (row) => row.read_cost },
-      { title: "Origin", value: (row) => make("code", {}, row.origin) },
+      { title: "Min / mean / max", unit: "of counters: increase, mean rate", wide: true, value: (row) => row.values },
+      { title: "Samples", unit: "changes", right: true, value: (row) => withRange(String(row.samples), String(row.updates)) },
+      { title: "Polled every", unit: "changes every", right: true, value: (row) => withRange(row.polled, row.updated) },
+      { title: "One read", unit: "costs", right: true, value: (row) => row.read_cost },
     ], data.sensor_rows));
   }
 
@@ -593,6 +658,7 @@
   }
 
   function fillUnseen() {
+    if (data.answer.length > 1) body("unseen").append(make("p", {}, data.answer[data.answer.length - 1]));
     if (report.missing_sensors.length === 0)
       body("unseen").append(note("The recorder lists no missing sensor."));
     else
@@ -614,14 +680,17 @@
     const events = report.events;
     if (data.idle_text) body("events").append(note(data.idle_text));
     if (events.length === 0) body("events").append(note("Nothing else happened that was noted."));
-    else
-      body("events").append(table("What happened during the run.", [
+    else {
+      const grid = table("What happened during the run.", [
         { title: "At", unit: "s", right: true, value: (row) => fixed(row.t_s, 3) },
         { title: "Severity", value: (row) => row.severity,
           tone: (row) => (row.severity === "info" ? "" : "bad") },
         { title: "Kind", value: (row) => row.kind },
         { title: "What", wide: true, value: (row) => row.text },
-      ], events));
+      ], events);
+      body("events").append(events.length <= 20 ? grid
+        : make("details", {}, make("summary", {}, `${plural(report.event_count, "event")}`), grid));
+    }
     if (report.event_count > events.length)
       body("events").append(note(`${report.event_count - events.length} more are in report.json.`));
     body("cost").append(data.sampler.length > 0 ? list(data.sampler) : note("Not recorded."));
@@ -631,6 +700,7 @@
 
   const frameHeight = 260;
   const trackHeight = 96;
+  const laneHeight = 32;
   const gap = 54;
   const labelHeight = 20;
   const top = 66;
@@ -659,9 +729,6 @@
     return channel.value[track.is_rate && channel.t_s[index] !== t ? index + 1 : index];
   }
 
-  // Points of a cell: [seconds, ms, frame, number of the outlier or undefined]; null between trials.
-  const points = data.frames.map((cell) => cell.map((point) => (typeof point === "number"
-    ? [outliers.t_s[point], outliers.ms[point], outliers.frame[point], point] : point)));
   const isShown = (cell) => !place || placeOf(cell) === place;
 
   // An outlier where there is one, else the nearest frame.
@@ -721,28 +788,50 @@
     return zoom ? ((zoom.end - zoom.start) / 100) * duration : duration;
   }
 
-  const bandName = (band) => `throttled: ${band.class}${band.inferred ? " (inferred)" : ""}`;
+  const bandClass = (band) => (band.class === "none" ? "no reason given" : band.class.replace(/_/g, " "));
+  const bandName = (band) => `throttled: ${bandClass(band)}${band.inferred ? " (inferred)" : ""}`;
+  const bandTitle = (band) => `${bandName(band)}, by ${band.channels.slice(0, 2).join(", ")}`
+    + (band.channels.length > 2 ? ` and ${band.channels.length - 2} more` : "");
   const shownCauses = () => data.causes.map((name, cause) => cause)
     .filter((cause) => outliers.cause.some((each, i) => each === cause && isShown(report.cells[outliers.cell[i]])));
 
-  function bandSeries(band) {
+  // Hatched in the band's colour, for what was inferred; told apart from filled bands without colours.
+  function hatched(color) {
+    const tile = make("canvas", { width: 6, height: 6 });
+    const pen = tile.getContext("2d");
+    pen.strokeStyle = color;
+    pen.lineWidth = 1.6;
+    for (const shift of [-6, 0, 6]) {
+      pen.beginPath();
+      pen.moveTo(shift, 6);
+      pen.lineTo(shift + 6, 0);
+      pen.stroke();
+    }
+    return { image: tile, repeat: "repeat" };
+  }
+
+  // Behind the frames, or as a bar in the lane of its own.
+  function bandSeries(band, axis, lane) {
     const color = bandColor(band.class);
-    return { name: bandName(band), type: "line", xAxisIndex: 0, yAxisIndex: 0, data: [], color, animation: false,
+    const opacity = lane === undefined ? (band.inferred ? 0.3 : 0.2) : 1;
+    const corner = (x, y) => (lane === undefined ? { xAxis: x } : { xAxis: x, yAxis: y });
+    return { name: bandName(band), type: "line", xAxisIndex: axis, yAxisIndex: axis, data: [], color, animation: false,
       markArea: { silent: true, animation: false,
-        itemStyle: { color, opacity: band.inferred ? 0.1 : 0.2, borderColor: color, borderWidth: band.inferred ? 1 : 0,
-          borderType: "dashed" },
-        data: band.spans.map(([begin, end]) => [{ xAxis: begin }, { xAxis: end }]) } };
+        itemStyle: { color: band.inferred ? hatched(color) : color, opacity, borderColor: color,
+          borderWidth: lane === undefined ? 0 : 1 },
+        data: band.spans.map(([begin, end]) => [corner(begin, lane + 0.5), corner(end, lane + 0.92)]) } };
   }
 
   function causeSeries(cause) {
     const at = [];
-    for (let i = 0; i < outlierCount; ++i)
+    for (let i = 0; i < drawnCount; ++i)
       if (outliers.cause[i] === cause && isShown(report.cells[outliers.cell[i]]))
         at.push([outliers.t_s[i], outliers.ms[i]]);
     return { name: data.causes[cause], type: "scatter", xAxisIndex: 0, yAxisIndex: 0, data: at,
-      symbol: causeSymbols[cause], symbolSize: outlierCount > 500 ? 6 : 10, animation: false,
+      symbol: causeSymbols[cause], symbolSize: drawnCount > 500 ? 6 : 10, animation: false,
+      progressive: 2000, progressiveThreshold: 5000,
       emphasis: { disabled: true }, color: causeColor(cause), z: 5,
-      itemStyle: { color: causeColor(cause), borderColor: css("--ground"), borderWidth: 0.8 } };
+      itemStyle: { color: causeColor(cause), borderColor: css("--ground"), borderWidth: 0.4 } };
   }
 
   function frameSeries() {
@@ -755,7 +844,7 @@
         showSymbol: !dense, symbol: "circle", symbolSize: 3, lineStyle: { width: 1 },
         color: colorOf(cell.algorithm), emphasis: { disabled: true }, animation: false });
     });
-    return [...data.bands.map(bandSeries), ...lines, ...shownCauses().map(causeSeries)];
+    return [...data.bands.map((band) => bandSeries(band, 0)), ...lines, ...shownCauses().map(causeSeries)];
   }
 
   function trackSeries(track, axis) {
@@ -770,14 +859,17 @@
 
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-  // Where each grid stands: the frames first, then one per track.
+  // Where each grid stands: the frames first, then a lane per class of throttling, then the tracks.
   function rows() {
-    const heights = [...(hasFrames ? [frameHeight] : []), ...data.tracks.map(() => trackHeight)];
+    const grids = [...(hasFrames ? [{ frames: true, height: frameHeight, title: "frame time" }] : []),
+      ...(data.bands.length > 0 ? [{ bands: true, height: laneHeight * data.bands.length, title: "" }] : []),
+      ...data.tracks.map((track) => ({ track, height: trackHeight, title: `${track.title} [${track.unit}]` }))];
     let y = top;
-    return heights.map((height, index) => {
-      const labelled = index === 0 || index === heights.length - 1;
-      const row = { y, height, labelled };
-      y += height + gap + (labelled ? labelHeight : 0);
+    return grids.map((grid, index) => {
+      const labelled = index === 0 || index === grids.length - 1;
+      if (grid.bands && index > 0) y -= laneHeight;
+      const row = { ...grid, y, labelled };
+      y += grid.height + gap + (labelled ? labelHeight : 0);
       return row;
     });
   }
@@ -789,40 +881,40 @@
     const all = rows();
     const narrow = byId("chart").clientWidth < 620;
     const left = narrow ? 52 : 72;
-    const tracks = data.tracks;
-    const first = hasFrames ? 1 : 0;
-    const titleOf = (index) =>
-      hasFrames && index === 0 ? "frame time" : `${tracks[index - first].title} [${tracks[index - first].unit}]`;
-    const legend = (index) => ({
-      type: "scroll", left, right: 12, top: all[index].y - 26, height: 20, itemHeight: 8, itemWidth: 14,
+    const legend = (row) => ({
+      type: "scroll", left, right: 12, top: row.y - 26, height: 20, itemHeight: 8, itemWidth: 14, show: !row.bands,
+      itemStyle: { borderWidth: 0 },
       textStyle: { color: css("--ink"), fontSize: 11 }, pageIconColor: css("--accent"),
       pageIconInactiveColor: css("--line"), pageTextStyle: { color: soft }, pageIconSize: 11,
       inactiveColor: css("--line"), selectedMode: "multiple",
-      data: hasFrames && index === 0
-        ? [...algorithms, ...shownCauses().map((cause) => ({ name: data.causes[cause], icon: causeSymbols[cause] })),
-          ...data.bands.map((band) => ({ name: bandName(band), icon: "rect" }))]
-        : tracks[index - first].channels.map((channel) => channel.name),
+      data: row.frames
+        ? [...algorithms, ...shownCauses().map((cause) => ({ name: data.causes[cause], icon: causeSymbols[cause] }))]
+        : row.track ? row.track.channels.map((channel) => channel.name) : [],
       formatter: cut,
     });
-    const yAxis = (index) => {
-      const frames = hasFrames && index === 0;
-      const flag = !frames && tracks[index - first].is_flag;
+    const yAxis = (row, index) => {
+      if (row.bands) return { type: "value", gridIndex: index, min: 0, max: data.bands.length, inverse: true, show: false };
+      const flag = !row.frames && row.track.is_flag;
       return {
-        type: frames && byId("logarithmic").checked ? "log" : "value", gridIndex: index,
-        scale: !frames && !flag && !tracks[index - first].is_rate, min: flag ? 0 : undefined,
-        max: flag ? 1 : undefined, splitNumber: frames ? 5 : 2, minInterval: flag ? 1 : undefined,
+        type: row.frames && byId("logarithmic").checked ? "log" : "value", gridIndex: index,
+        scale: !row.frames && !flag && !row.track.is_rate, min: flag ? 0 : undefined,
+        max: flag ? 1 : undefined, splitNumber: row.frames ? 5 : 2, minInterval: flag ? 1 : undefined,
         axisLabel: { color: soft, fontSize: 11, hideOverlap: true,
-          formatter: frames ? (value) => (value === 0 ? "0" : scaledMs(value)) : undefined },
+          formatter: row.frames ? axisMs : undefined },
         splitLine: { lineStyle: { color: css("--grid") } },
         axisPointer: { show: false },
       };
     };
+    const titles = all.flatMap((row) => (row.bands
+      ? data.bands.map((band, lane) => ({ text: bandTitle(band), left: left - 5, top: row.y + lane * laneHeight - 4,
+        textStyle: { color: css("--ink"), fontSize: 11, fontWeight: 400, width: byId("chart").clientWidth - left - 20,
+          overflow: "truncate" } }))
+      : [{ text: row.title, left: left - 5, top: row.y - 46, textStyle: { color: css("--ink"), fontSize: 12, fontWeight: 600 } }]));
     return {
       animation: false, backgroundColor: "transparent",
       textStyle: { fontFamily: getComputedStyle(document.body).fontFamily },
-      title: all.map((row, index) => ({ text: titleOf(index), left: left - 5, top: row.y - 46,
-        textStyle: { color: css("--ink"), fontSize: 12, fontWeight: 600 } })),
-      legend: all.map((row, index) => legend(index)),
+      title: titles,
+      legend: all.map(legend),
       grid: all.map((row) => ({ left, right: 16, top: row.y, height: row.height })),
       xAxis: all.map((row, index) => ({
         type: "value", gridIndex: index, min: 0, max: duration,
@@ -833,7 +925,7 @@
         splitLine: { show: false },
         axisPointer: { show: true, type: "line", lineStyle: { color: soft }, label: { show: false } },
       })),
-      yAxis: all.map((row, index) => yAxis(index)),
+      yAxis: all.map(yAxis),
       axisPointer: { link: [{ xAxisIndex: "all" }] },
       tooltip: {
         trigger: "axis", confine: true, transitionDuration: 0, backgroundColor: css("--panel"),
@@ -841,7 +933,7 @@
         formatter: (found) => tip(Number((Array.isArray(found) ? found[0] : found).axisValue)),
       },
       toolbox: {
-        right: 12, top: 4, itemSize: 14, iconStyle: { borderColor: soft },
+        show: !printing, right: 12, top: 4, itemSize: 14, iconStyle: { borderColor: soft },
         feature: {
           dataZoom: { xAxisIndex: "all", yAxisIndex: "none", filterMode: "none",
             title: { zoom: "zoom into a stretch", back: "back" } },
@@ -852,13 +944,13 @@
       dataZoom: [
         { type: "inside", xAxisIndex: "all", filterMode: "none", zoomOnMouseWheel: "ctrl",
           moveOnMouseMove: false, preventDefaultMouseMove: false },
-        { type: "slider", xAxisIndex: "all", filterMode: "none", bottom: 14, height: 24, left, right: 16,
+        { type: "slider", show: !printing, xAxisIndex: "all", filterMode: "none", bottom: 14, height: 24, left, right: 16,
           showDataShadow: false, showDetail: false, borderColor: css("--line"),
           fillerColor: "rgba(120, 150, 180, .22)", handleStyle: { color: css("--soft") },
           moveHandleStyle: { color: css("--line") } },
       ],
-      series: [...(hasFrames ? frameSeries() : []),
-        ...tracks.flatMap((track, index) => trackSeries(track, index + first))],
+      series: all.flatMap((row, index) => (row.frames ? frameSeries()
+        : row.bands ? data.bands.map((band, lane) => bandSeries(band, index, lane)) : trackSeries(row.track, index))),
     };
   }
 
@@ -938,7 +1030,7 @@
     drawInto("scatter_chart", 380, plain(series.map((each) => each.name), {
       xAxis: axis(name, "value"),
       yAxis: axis("", byId("scatter_log").checked ? "log" : "value",
-        { axisLabel: { color: css("--soft"), fontSize: 11, formatter: (value) => (value === 0 ? "0" : scaledMs(value)) } }),
+        { axisLabel: { color: css("--soft"), fontSize: 11, formatter: axisMs } }),
       series }));
   }
 
@@ -993,17 +1085,20 @@
     const all = paretoPoints();
     if (all.length === 0) return;
     const models = modelsOf(all);
+    const best = new Set(models.flatMap((model) => front(all.filter((point) => point.row.model === model))));
     const series = algorithms.map((name) => ({ name, type: "scatter", symbolSize: 12, color: colorOf(name), animation: false,
       data: all.filter((point) => point.row.algorithm === name).map((point) => ({
         value: [point.ms, point.row.nj_per_ray.value], symbol: shapeOf(point.row.model, models)[0],
-        text: `${name}, ${point.row.model}: ${scaledMs(point.ms)}, ${estimate(point.row.nj_per_ray, 1e-9, "J")} a ray` })) }));
+        text: `${name}, ${point.row.model}: ${scaledMs(point.ms)}, ${estimateText(point.row.nj_per_ray, 1e-9, "J")} a ray`,
+        label: { show: best.has(point), formatter: name, position: [...best].indexOf(point) % 2 === 0 ? "top" : "bottom", distance: 8, fontSize: 11, color: css("--ink") } })),
+    }));
     const thin = { type: "line", showSymbol: false, silent: true, animation: false, color: css("--soft") };
     for (const { row, ms: at } of all)
       series.push({ ...thin, lineStyle: { width: 1.5, color: colorOf(row.algorithm) },
         data: [[at, row.nj_per_ray.low], [at, row.nj_per_ray.high]] });
     for (const model of models)
       series.push({ ...thin, lineStyle: { width: 1, type: "dashed" }, z: 1,
-        data: front(all.filter((point) => point.row.model === model)).map((point) => [point.ms, point.row.nj_per_ray.value]) });
+        data: [...best].filter((point) => point.row.model === model).map((point) => [point.ms, point.row.nj_per_ray.value]) });
     drawInto("pareto", 340, plain(algorithms, {
       xAxis: axis("median frame time, mean over views [ms]", "value"),
       yAxis: axis("net energy per ray [nJ]", "value", { nameGap: 50 }), series }));
@@ -1092,11 +1187,12 @@
   let outlierAt = -1;
 
   function walk(step) {
-    if (outlierCount === 0) return;
-    outlierAt = (outlierAt + step + outlierCount) % outlierCount;
-    const at = (100 * outliers.t_s[outlierAt]) / duration;
+    if (drawnCount === 0) return;
+    outlierAt = (outlierAt + step + drawnCount) % drawnCount;
+    const index = byTime[outlierAt];
+    const at = (100 * outliers.t_s[index]) / duration;
     zoomTo(at - 1, at + 1);
-    byId("outlier_text").textContent = outlierText(outlierAt);
+    byId("outlier_text").textContent = `${outlierAt + 1} of ${drawnCount}. ${outlierText(index)}`;
   }
 
   function fillZoom() {
@@ -1105,7 +1201,7 @@
       outlier_next: () => walk(1) };
     for (const [id, action] of Object.entries(actions))
       byId(id).addEventListener("click", () => { if (chart) action(); });
-    for (const id of ["outlier_before", "outlier_next"]) byId(id).hidden = outlierCount === 0;
+    for (const id of ["outlier_before", "outlier_next"]) byId(id).hidden = drawnCount === 0;
   }
 
   function draw() {
@@ -1145,7 +1241,9 @@
     const notes = body("time");
     if (!hasFrames && data.tracks.length === 0) notes.append(note("There is nothing to draw."));
     else notes.append(note("Drag the slider, use the buttons, or hold Ctrl and turn the wheel, to zoom; the magnifier above the chart zooms into a stretch that is drawn with the mouse. All tracks follow."));
-    if (outlierCount > 0) notes.append(note("Marks are outliers, their colour and shape the cause; bands are throttling, dashed where it was inferred from the clock."));
+    if (outlierCount > 0 || data.bands.length > 0) notes.append(note("Marks are outliers, their colour and shape the cause; bands are throttling, each class in a lane below: filled where a sensor said so, hatched where it was inferred from the clock."));
+    if (drawnCount < outlierCount)
+      notes.append(note(`${drawnCount} of ${outlierCount} outliers are drawn, those that lost most time; all are in report.json and in timeline.json.`));
     for (const band of data.bands)
       if (band.closed !== null) notes.append(note(`${bandName(band)}: gaps up to ${band.closed} are closed in the drawing; the track shows them.`));
     for (const text of new Set(data.tracks.map((track) => track.note).filter(Boolean))) notes.append(note(text));

@@ -28,6 +28,7 @@ TEST(Format, ScalesWhatSensorsStore) {
   EXPECT_EQ(scaled_stored(1, "1"), "1");
   EXPECT_EQ(scaled_stored(12, "count"), "12");
   EXPECT_EQ(scaled_stored(40, "%"), "40 %");
+  EXPECT_EQ(scaled_stored(1'000'000, "ppm"), "100 %");
   EXPECT_EQ(scaled_stored(2.5, "furlong"), "2.5 furlong");
 }
 

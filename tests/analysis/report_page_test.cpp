@@ -2,13 +2,17 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <set>
 #include <sstream>
 
 #include "../end_to_end/program.h"
+#include "analysis/analyze_frames.h"
 #include "analysis/report_html.h"
+#include "page_data.h"
 #include "planted_run.h"
 #include "synthetic_run.h"
 
@@ -21,10 +25,29 @@ using test::TempDir;
 using testing::HasSubstr;
 using testing::Not;
 
-json data_of(const std::string& page) {
-  const std::string open = R"(<script type="application/json" id="data">)";
-  const std::size_t begin = page.find(open) + open.size();
-  return json::parse(page.substr(begin, page.find("</script>", begin) - begin));
+/// Frames of which a share is slow, in stretches, under 40 channels of 125,000 samples each.
+RunRecord big_run(std::size_t frame_count, double slow_share) {
+  RunBuilder builder;
+  for (std::size_t trial = 0; trial < 100; ++trial) {
+    std::vector<double> times_ms;
+    for (std::size_t i = 0; i < frame_count / 100; ++i)
+      times_ms.push_back(
+          (1 + 0.02 * std::sin(static_cast<double>(i * i))) *
+          (static_cast<double>(i % 20) < 20 * slow_share ? 2 + static_cast<double>(i % 13) : 1));
+    builder.add_trial("m", static_cast<int64_t>(trial % 5), "A" + std::to_string(trial / 5 % 5),
+                      times_ms);
+  }
+  const int64_t period_ns = (builder.now_ns - planted::begin_ns) / 125'000;
+  for (std::size_t channel = 0; channel < 40; ++channel)
+    builder.add_channel(
+        "x.gauge" + std::to_string(channel),
+        channel % 2 == 0 ? Quantity::power : Quantity::frequency,
+        channel % 2 == 0 ? Unit::milliwatt : Unit::megahertz, Kind::gauge, period_ns, 125'000,
+        [channel](std::size_t i) {
+          return 1'000 + std::floor(300 * std::sin(static_cast<double>(i * i % 10'007 + channel)));
+        });
+  builder.close();
+  return builder.run;
 }
 
 /// Uses the charts as a reader would, and writes what it saw into the page.
@@ -32,10 +55,15 @@ constexpr const char* visitor = R"(<script>
 const chart = echarts.getInstanceByDom(document.getElementById("chart"));
 const data = JSON.parse(document.getElementById("data").textContent);
 const seen = {};
+const named = (node) => node.getAttribute("aria-label");
+seen.wide = [...document.querySelectorAll(".scroll")].filter((node) => node.scrollWidth > node.clientWidth + 1).map(named);
+seen.page_is_wide = document.documentElement.scrollWidth > window.innerWidth;
 if (chart) {
   const option = chart.getOption();
   seen.series = option.series.map((series) => ({ name: series.name, points: series.data.length,
-    bands: series.markArea ? series.markArea.data.length : 0 }));
+    bands: series.markArea ? series.markArea.data.length : 0,
+    hatched: Boolean(series.markArea && series.markArea.itemStyle.color.image) }));
+  seen.titles = option.title.map((title) => title.text);
   seen.whole = chart.getModel().getComponent("xAxis", 0).axis.scale.getExtent();
   chart.dispatchAction({ type: "dataZoom", start: 25, end: 50 });
   seen.zoomed = chart.getModel().getComponent("xAxis", 0).axis.scale.getExtent();
@@ -45,11 +73,11 @@ if (chart) {
   document.getElementById("zoom_in").click();
   const zoom = chart.getOption().dataZoom[0];
   seen.half = zoom.end - zoom.start;
-  const first = data.outliers.evidence.findIndex((evidence) => evidence && evidence.length > 0);
-  if (first >= 0) {
-    seen.cause = data.causes[data.outliers.cause[first]];
-    seen.channel = data.outliers.channels[data.outliers.evidence[first][0][0]];
-    seen.tip = option.tooltip[0].formatter([{ axisValue: data.outliers.t_s[first] }]).textContent;
+  const slow = option.series.find((series) => series.type === "scatter" && series.data.length > 0);
+  if (slow) {
+    seen.cause = slow.name;
+    seen.channels = data.evidence.channels;
+    seen.tip = option.tooltip[0].formatter([{ axisValue: slow.data[0][0] }]).textContent;
     document.getElementById("outlier_next").click();
     seen.walk = document.getElementById("outlier_text").textContent;
   }
@@ -59,24 +87,6 @@ if (chart) {
 document.body.append(Object.assign(document.createElement("pre"), { id: "seen", textContent:
   btoa(String.fromCharCode(...new TextEncoder().encode(JSON.stringify(seen)))) }));
 </script></body>)";
-
-std::string base64_decoded(const std::string& text) {
-  constexpr std::string_view digits =
-      "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-  std::string bytes;
-  uint32_t group = 0;
-  int bits = 0;
-  for (const char c : text) {
-    const std::size_t digit = digits.find(c);
-    if (digit == digits.npos) break;
-    group = group << 6 | static_cast<uint32_t>(digit);
-    bits += 6;
-    if (bits < 8) continue;
-    bits -= 8;
-    bytes += static_cast<char>(group >> bits & 0xFFu);
-  }
-  return bytes;
-}
 
 /// Opens the page in a browser; `visited` is what the visitor saw.
 class Browser : public testing::Test {
@@ -90,12 +100,13 @@ class Browser : public testing::Test {
     const std::size_t end = visited.rfind("</body>");
     visited.replace(end, 7, visitor);
     std::ofstream(dir_ / "report.html") << visited;
-    const test::Output output = test::run(
-        {"timeout", "60", "chromium", "--headless", "--no-sandbox", "--disable-gpu",
-         "--disable-quic", "--no-first-run", "--disable-background-networking",
-         "--disable-component-update", "--disable-sync",
-         "--user-data-dir=" + (dir_ / "browser").string(), "--enable-logging=stderr",
-         "--virtual-time-budget=8000", "--dump-dom", "file://" + (dir_ / "report.html").string()});
+    const test::Output output =
+        test::run({"timeout", "60", "chromium", "--headless", "--no-sandbox", "--disable-gpu",
+                   "--disable-quic", "--no-first-run", "--disable-background-networking",
+                   "--disable-component-update", "--disable-sync",
+                   "--user-data-dir=" + (dir_ / "browser").string(), "--enable-logging=stderr",
+                   "--window-size=1280,1200", "--virtual-time-budget=8000", "--dump-dom",
+                   "file://" + (dir_ / "report.html").string()});
     EXPECT_EQ(output.code, 0) << output.err;
     std::istringstream log(output.err);
     for (std::string line; std::getline(log, line);)
@@ -134,6 +145,8 @@ TEST_F(Browser, ShowsOutliersByCauseOverThrottling) {
     for (const RankingRow& row : analysis.ranking)
       if (name == row.algorithm) frame_count += points;
   }
+  EXPECT_EQ(seen.at("wide"), json::array()) << "tables fit into 1280 pixels";
+  EXPECT_EQ(seen.at("page_is_wide"), false);
   EXPECT_EQ(outlier_count, analysis.outliers.size());
   EXPECT_GT(band_count, 0u);
   EXPECT_GT(frame_count, 0u);
@@ -149,9 +162,48 @@ TEST_F(Browser, ShowsOutliersByCauseOverThrottling) {
     EXPECT_THAT(seen.at(text).get<std::string>(), HasSubstr("vidence"));
   }
   EXPECT_THAT(seen.at("tip").get<std::string>(), HasSubstr(seen.at("cause").get<std::string>()));
-  EXPECT_THAT(seen.at("tip").get<std::string>(), HasSubstr(seen.at("channel").get<std::string>()));
+  const auto said = [&](const json& channel) {
+    return seen.at("tip").get<std::string>().find(channel) != std::string::npos;
+  };
+  EXPECT_TRUE(std::any_of(seen.at("channels").begin(), seen.at("channels").end(), said))
+      << seen.at("tip");
   EXPECT_THAT(dom_, HasSubstr("Outliers and throttling"));
   EXPECT_THAT(seen.at("charts").dump(), HasSubstr("scatter_chart"));
+}
+
+TEST_F(Browser, TellsInferredThrottlingWithoutColours) {
+  synthetic::Options options;
+  options.seed = 3;
+  options.effects = {synthetic::Effect::power};
+  for (const bool has_flags : {true, false}) {
+    options.reason_flags = has_flags;
+    const RunRecord run = synthetic::make_run(options).run;
+    const json seen = visit(report_html(run, analyze(run)));
+    ASSERT_TRUE(seen.contains("half")) << "the page's script stopped";
+    std::set<bool> hatched;
+    for (const json& series : seen.at("series"))
+      if (series.at("bands") > 0) {
+        EXPECT_EQ(series.at("hatched"),
+                  series.at("name").get<std::string>().ends_with("(inferred)"));
+        hatched.insert(series.at("hatched").get<bool>());
+      }
+    EXPECT_TRUE(hatched.contains(!has_flags));
+    // Each class has a lane that says what it is and who tells of it.
+    EXPECT_THAT(seen.at("titles").dump(), HasSubstr(has_flags ? ", by " : "(inferred), by "));
+  }
+}
+
+TEST_F(Browser, DrawsARunWhereMostFramesAreSlow) {
+  const RunRecord run = big_run(20'000, 0.6);
+  const Analysis analysis = analyze(run);
+  const json seen = visit(report_html(run, analysis));
+  ASSERT_TRUE(seen.contains("half")) << "the page's script stopped";
+  std::size_t outlier_count = 0;
+  for (const json& series : seen.at("series"))
+    for (std::size_t k = 0; k < cause_count; ++k)
+      if (series.at("name") == to_string(static_cast<Cause>(k)))
+        outlier_count += series.at("points").get<std::size_t>();
+  EXPECT_EQ(outlier_count, analysis.outliers.size());
 }
 
 TEST_F(Browser, DrawsTheoryForModelsOfDifferentSize) {
@@ -166,53 +218,64 @@ TEST_F(Browser, DrawsTheoryForModelsOfDifferentSize) {
 
 TEST_F(Browser, SaysWhatIsMissingOfAnEmptyRun) {
   const json seen = visit(report_html({}, analyze({})));
-  EXPECT_TRUE(seen.empty()) << "there is no chart to visit";
+  EXPECT_FALSE(seen.contains("series")) << "there is no chart to visit";
   EXPECT_THAT(dom_, HasSubstr("No timed frame was recorded"));
   EXPECT_THAT(dom_, HasSubstr("There is nothing to draw"));
 }
 
-/// 100,000 frames of which one in `slow_every` is slow, under 40 channels of 125,000 samples each.
-RunRecord big_run(std::size_t slow_every) {
-  RunBuilder builder;
-  for (int trial = 0; trial < 100; ++trial) {
-    std::vector<double> times_ms;
-    for (std::size_t i = 0; i < 1'000; ++i)
-      times_ms.push_back((1 + 0.02 * std::sin(static_cast<double>(i * i))) *
-                         (i % slow_every == 0 ? 2 : 1));
-    builder.add_trial("m", trial % 5, "A" + std::to_string(trial / 5 % 5), times_ms);
-  }
-  const int64_t period_ns = (builder.now_ns - planted::begin_ns) / 125'000;
-  for (std::size_t channel = 0; channel < 40; ++channel)
-    builder.add_channel(
-        "x.gauge" + std::to_string(channel),
-        channel % 2 == 0 ? Quantity::power : Quantity::frequency,
-        channel % 2 == 0 ? Unit::milliwatt : Unit::megahertz, Kind::gauge, period_ns, 125'000,
-        [channel](std::size_t i) {
-          return 1'000 + std::floor(300 * std::sin(static_cast<double>(i * i % 10'007 + channel)));
-        });
-  builder.close();
-  return builder.run;
-}
-
-class ReportSize : public testing::TestWithParam<std::size_t> {};
+class ReportSize : public testing::TestWithParam<double> {};
 
 TEST_P(ReportSize, StaysBelow3MegabytesAndKeepsEveryOutlier) {
-  const RunRecord run = big_run(GetParam());
+  const RunRecord run = big_run(100'000, GetParam());
   const Analysis analysis = analyze(run);
-  ASSERT_GT(analysis.outliers.size(), 90'000 / GetParam());
+  ASSERT_GT(static_cast<double>(analysis.outliers.size()), 90'000 * GetParam());
   const std::string picture(1024 * 1024, 'x');
   const std::string page =
       report_html(run, analysis, {{"m_view0_reference", picture}, {"m_view0_A0_heat", picture}});
   EXPECT_LT(page.size(), 3'000'000u);
   const json data = data_of(page);
-  EXPECT_EQ(data.at("outliers").at("ms").size(), analysis.outliers.size());
-  std::size_t drawn = 0;
-  for (const json& cell : data.at("frames"))
-    for (const json& point : cell) drawn += point.is_number();
-  EXPECT_EQ(drawn, analysis.outliers.size());
+  EXPECT_EQ(data.at("outlier_count"), analysis.outliers.size());
+  EXPECT_EQ(drawn_outlier_count(data), analysis.outliers.size());
 }
 
-INSTANTIATE_TEST_SUITE_P(OneFrameIn, ReportSize, testing::Values(4, 25));
+INSTANTIATE_TEST_SUITE_P(ShareOfSlowFrames, ReportSize, testing::Values(0.05, 0.6));
+
+/// The analysis as if every frame were an outlier with all the evidence there is.
+Analysis all_slow(const RunRecord& run, Analysis analysis) {
+  analysis.outliers.clear();
+  for (std::size_t c = 0; c < analysis.cells.size(); ++c)
+    for (std::size_t i = 0; i < analysis.cells[c].frame_index.size(); ++i) {
+      Outlier outlier;
+      outlier.cell = c;
+      outlier.frame_index = analysis.cells[c].frame_index[i];
+      outlier.frame_ms = analysis.cells[c].frame_ms[i];
+      outlier.excess_ms = outlier.frame_ms * (0.3 + 0.1 * std::sin(static_cast<double>(i)));
+      outlier.baseline_ms = outlier.frame_ms - outlier.excess_ms;
+      outlier.attribution.cause = static_cast<Cause>(i % cause_count);
+      outlier.attribution.confidence = 0.9;
+      for (std::size_t k = 0; k < 4; ++k)
+        outlier.attribution.evidence.push_back(
+            {run.channels[(i + k) % run.channels.size()].name, 1234.567, 2345.678, "Hz"});
+      analysis.outliers.push_back(outlier);
+    }
+  return analysis;
+}
+
+TEST(ReportPage, HoldsEveryFrameWhereAllAreOutliers) {
+  const RunRecord run = big_run(100'000, 0.05);
+  const std::string page = report_html(run, all_slow(run, analyze(run)));
+  EXPECT_LT(page.size(), 3'000'000u);
+  EXPECT_EQ(drawn_outlier_count(data_of(page)), 100'000u);
+}
+
+TEST(ReportPage, SaysWhichOutliersItLeavesOut) {
+  const RunRecord run = big_run(120'000, 0.05);
+  const std::string page = report_html(run, all_slow(run, analyze_frames(run)));
+  EXPECT_LT(page.size(), 3'000'000u);
+  const json data = data_of(page);
+  EXPECT_EQ(data.at("outlier_count"), 120'000);
+  EXPECT_EQ(drawn_outlier_count(data), 100'000u);
+}
 
 TEST(ReportPage, ClosesTheShortestGapsOfTooManyBands) {
   RunBuilder builder;

@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
 #include <nlohmann/json.hpp>
 #include <sstream>
 
@@ -9,6 +10,7 @@
 #include "analysis/report_json.h"
 #include "analysis/report_md.h"
 #include "analysis/report_text.h"
+#include "page_data.h"
 #include "planted_run.h"
 
 namespace energyprof::analysis {
@@ -25,10 +27,10 @@ std::string html_of(const RunRecord& run, const std::vector<ReportImage>& images
   return report_html(run, analyze(run), images);
 }
 
-json data_of(const std::string& page) {
-  const std::string open = R"(<script type="application/json" id="data">)";
-  const std::size_t begin = page.find(open) + open.size();
-  return json::parse(page.substr(begin, page.find("</script>", begin) - begin));
+std::size_t count_of(const std::string& text, const std::string& part) {
+  std::size_t count = 0;
+  for (std::size_t at = text.find(part); at != text.npos; at = text.find(part, at + 1)) ++count;
+  return count;
 }
 
 void expect_fields(const json& object, const std::vector<const char*>& names) {
@@ -270,7 +272,8 @@ TEST(ReportHtml, HoldsTheReport) {
   const json data = data_of(html_of(run));
   // What the page holds in a shorter form is left out.
   json report = json_of(run);
-  EXPECT_EQ(data.at("outliers").at("ms").size(), report.at("outliers").size());
+  EXPECT_EQ(data.at("outlier_count"), report.at("outliers").size());
+  EXPECT_EQ(drawn_outlier_count(data), report.at("outliers").size());
   json shown = data.at("report");
   for (const char* name :
        {"outliers", "throttling", "events", "event_count", "regimes", "regime_count"}) {
@@ -280,10 +283,46 @@ TEST(ReportHtml, HoldsTheReport) {
   EXPECT_EQ(shown, report);
   EXPECT_EQ(data.at("answer"), answer_text(analyze(run)));
   ASSERT_EQ(data.at("frames").size(), 12u);
-  EXPECT_EQ(data.at("frames").at(0).size(), 40u);
+  EXPECT_EQ(drawn_frames(data, 0).size(), 40u);
   EXPECT_EQ(data.at("sensor_rows").size(), 6u);
   EXPECT_EQ(data.at("tracks").size(), 4u) << "power, frequency, temperature, throttle";
   EXPECT_EQ(data.at("not_drawn").at("constant"), json({"rapl.package-0.limit.long_term"}));
+}
+
+TEST(ReportHtml, PacksFramesWithoutLosingThem) {
+  RunBuilder builder;
+  // A kernel of 20 us and one of 40 s: both keep four digits.
+  for (const double base_ms : {0.02, 40'000.0})
+    for (int repetition = 0; repetition < 2; ++repetition) {
+      std::vector<double> times_ms;
+      for (int i = 0; i < 50; ++i)
+        times_ms.push_back(base_ms * (i == 31 ? 7.5 : 1 + 0.001 * (i % 7)));
+      builder.add_trial(base_ms < 1 ? "fast" : "slow", 0, "A", times_ms);
+    }
+  builder.close();
+  const Analysis analysis = analyze(builder.run);
+  ASSERT_EQ(analysis.outliers.size(), 4u);
+  const json data = data_of(report_html(builder.run, analysis));
+  for (std::size_t c = 0; c < 2; ++c) {
+    const Cell& cell = analysis.cells[c];
+    const std::vector<DrawnFrame> frames = drawn_frames(data, c);
+    ASSERT_EQ(frames.size(), 100u);
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+      const FrameRecord& frame = builder.run.frames[cell.frame_index[i]];
+      EXPECT_NEAR(frames[i].ms, cell.frame_ms[i], 1e-4 * cell.frame_ms[i]);
+      EXPECT_NEAR(frames[i].t_s, static_cast<double>(frame.begin_ns - planted::begin_ns) * 1e-9,
+                  1e-5);
+      EXPECT_EQ(frames[i].frame, frame.frame);
+      EXPECT_EQ(frames[i].begins_trial, i % 50 == 0);
+      EXPECT_EQ(frames[i].is_outlier, i % 50 == 31);
+    }
+  }
+  const Outlier& outlier = analysis.outliers[0];
+  const DrawnFrame slow = drawn_frames(data, outlier.cell).at(31);
+  EXPECT_EQ(slow.cause, static_cast<int64_t>(outlier.attribution.cause));
+  EXPECT_EQ(slow.is_stretch, outlier.shape == OutlierShape::stretch);
+  EXPECT_NEAR(slow.excess_ms, outlier.excess_ms, 1e-4 * outlier.excess_ms);
+  EXPECT_EQ(slow.confidence_percent, std::lround(100 * outlier.attribution.confidence));
 }
 
 TEST(ReportHtml, FillsTheWholePage) {
@@ -293,12 +332,6 @@ TEST(ReportHtml, FillsTheWholePage) {
     EXPECT_THAT(page, Not(HasSubstr(name)));
   EXPECT_THAT(page, HasSubstr("Licensed to the Apache Software Foundation"));
   EXPECT_THAT(page, HasSubstr("Baidu Inc."));
-}
-
-std::size_t count_of(const std::string& text, const std::string& part) {
-  std::size_t count = 0;
-  for (std::size_t at = text.find(part); at != text.npos; at = text.find(part, at + 1)) ++count;
-  return count;
 }
 
 TEST(ReportHtml, HostileNamesStayText) {
@@ -359,8 +392,13 @@ TEST(ReportHtml, ABigRunStaysSmallAndKeepsItsPeaks) {
   const std::string page = html_of(builder.run);
   EXPECT_LT(page.size(), 3'000'000u);
   const json data = data_of(page);
-  EXPECT_LE(data.at("frames").at(0).size(), 20'000u);
-  EXPECT_EQ(data.at("outliers").at("ms"), json({300.0}));
+  const std::vector<DrawnFrame> frames = drawn_frames(data, 0);
+  EXPECT_LE(frames.size(), 20'000u);
+  std::vector<double> slow_ms;
+  for (const DrawnFrame& frame : frames)
+    if (frame.is_outlier) slow_ms.push_back(frame.ms);
+  ASSERT_EQ(slow_ms.size(), 1u);
+  EXPECT_NEAR(slow_ms[0], 300, 1e-3);
   const json& channels = data.at("tracks").at(0).at("channels");
   ASSERT_EQ(channels.size(), 20u);
   for (const json& channel : channels) {
@@ -392,20 +430,109 @@ TEST(Reports, SayWhoNeedsLeastEnergy) {
     return made;
   };
   analysis.energy = {row("A", "m", 10), row("B", "m", 20)};
-  EXPECT_THAT(
-      answer_text(analysis)[0],
-      HasSubstr("least energy: A with 10.0 nJ (9.00 nJ to 11.0 nJ) a ray, before B at 20.0 nJ"));
-  EXPECT_EQ(energy_of_text(analysis, "A"), "10.0 nJ (9.00 nJ to 11.0 nJ)");
+  EXPECT_THAT(answer_text(analysis)[0],
+              HasSubstr("least energy: A with 10.0 nJ (9.0 to 11.0) a ray, before B at 20.0 nJ"));
+  EXPECT_EQ(energy_of_text(analysis, "A"), "10.0 nJ (9.0 to 11.0)");
   analysis.energy.push_back(row("A", "n", 11));
   analysis.energy.push_back(row("B", "n", 10.5));
   EXPECT_THAT(answer_text(analysis)[0],
-              HasSubstr("n: B with 10.5 nJ (9.45 nJ to 11.6 nJ) a ray, not beyond doubt before A"));
-  EXPECT_EQ(energy_of_text(analysis, "A"), "10.5 nJ") << "the mean over models";
+              HasSubstr("n: B with 10.5 nJ (9.5 to 11.6) a ray, not beyond doubt before A"));
+  // Means over models: (10 + 11) / 2, and of their bounds.
+  EXPECT_EQ(energy_of_text(analysis, "A"), "10.5 nJ (9.4 to 11.6)");
   analysis.energy.back().nj_per_ray.reset();
   analysis.energy.back().refused = "the counter is too slow";
   EXPECT_EQ(energy_of_text(analysis, "B"), "-");
   EXPECT_THAT(answer_text(analysis)[0],
               HasSubstr("not told for 1 of 4, because the counter is too slow"));
+}
+
+TEST(Reports, SayWhatDecidedOnACause) {
+  EXPECT_EQ(evidence_text(Evidence{"x.freq", 650e6, 1.3e9, "Hz"}),
+            "x.freq 650 MHz instead of 1.30 GHz");
+  EXPECT_EQ(evidence_text(Evidence{"x.freq", 1.301e9, 1.3e9, "Hz"}), "x.freq 1.30 GHz, as usual");
+  EXPECT_EQ(evidence_text(Evidence{"x.pl1", 0.98, 0.0, "1"}),
+            "x.pl1 set 98 % of the time instead of 0 %");
+  EXPECT_EQ(evidence_text(Evidence{"x.pl1", 0.0, 0.0, "1"}), "x.pl1 not set, as usual");
+  EXPECT_EQ(evidence_text(Evidence{"x.pl1", 0.0, std::nullopt, "1"}), "x.pl1 not set");
+}
+
+TEST(Reports, CountRatesHaveNoMilli) {
+  RunBuilder builder;
+  builder.add_channel("x.faults", Quantity::interference, Unit::count, Kind::cumulative,
+                      1'000'000'000, 601, [](std::size_t i) { return std::floor(i / 100.0); });
+  builder.add_channel("x.misses", Quantity::cache_miss, Unit::count, Kind::cumulative,
+                      1'000'000'000, 601,
+                      [](std::size_t i) { return 5e6 * static_cast<double>(i); });
+  const Analysis analysis = analyze(builder.run);
+  EXPECT_EQ(values_text(analysis.sensors.at(0)), "6, 0.01/s");
+  EXPECT_EQ(values_text(analysis.sensors.at(1)), "3.00 G, 5.00 M/s");
+}
+
+TEST(Reports, IntervalsShareTheirPrefixAndDecimals) {
+  const auto text = [](double value, double low, double high) {
+    return estimate_text(Estimate{value, {low, high}}, 1e-3, "J");
+  };
+  EXPECT_EQ(text(22.2e-6, 21.34e-6, 23.1e-6), "22.2 nJ (21.3 to 23.1)");
+  EXPECT_EQ(text(0.98, 0.9, 1.06), "0.98 mJ (0.90 to 1.06)");
+  EXPECT_EQ(text(100, -500, 700), "100 mJ (-500 to 700)");
+  EXPECT_EQ(text(0, 0, 0), "0.00 J (0.00 to 0.00)");
+}
+
+TEST(Reports, NeverRoundToCertainty) {
+  EXPECT_EQ(confidence_text(0.931), "0.93");
+  EXPECT_EQ(confidence_text(0.9961), "> 0.99");
+  EXPECT_EQ(confidence_text(0.001), "< 0.01");
+  EXPECT_EQ(confidence_text(0), "0.00");
+}
+
+/// Two studies of one shape: 6 algorithms on 3 models from 3 views, 40 channels, hundreds of
+/// outliers and of events.
+TEST(ReportMd, OfABigStudyFitsAPullRequest) {
+  RunBuilder builder;
+  for (const char* model : {"dragon", "bunny", "teapot"})
+    for (int64_t view = 1; view <= 3; ++view)
+      for (const char* algorithm :
+           {"BVH_FTB_DF", "BVH_FTB_BF", "BVH_STACKLESS_DF", "KD_TREE", "KD_STACK", "GRID"}) {
+        std::vector<double> times_ms;
+        for (int i = 0; i < 60; ++i)
+          times_ms.push_back(20 + 0.1 * std::sin(i * i) + (i % 10 == 3 ? 25 : 0));
+        Trial& trial = builder.add_trial(model, view, algorithm, times_ms);
+        trial.build_ns = 12'000'000;
+        trial.triangle_count = 871'306;
+        FrameRecord counted = builder.run.frames.back();
+        counted.id += 1'000'000;
+        counted.phase = Phase::counted;
+        counted.node_visit_count = 50'500;
+        builder.run.frames.push_back(counted);
+      }
+  for (int channel = 0; channel < 40; ++channel)
+    builder.add_channel("hwmon.coretemp.package_id_0.temp" + std::to_string(channel),
+                        Quantity::temperature, Unit::millicelsius, Kind::gauge, 10'000'000, 5'000,
+                        [](std::size_t i) { return 50'000 + 100.0 * std::floor(std::sin(i) * 9); });
+  for (int i = 0; i < 300; ++i) {
+    Event event;
+    event.t_ns = planted::begin_ns + i * 1'000'000;
+    event.kind = "missed-ticks";
+    event.text = "the sampler missed 3 ticks";
+    builder.run.events.push_back(event);
+  }
+  builder.close();
+  json missing = json::array();
+  for (int i = 0; i < 60; ++i)
+    missing.push_back({{"source", "source" + std::to_string(i)},
+                       {"reason", "perf_event_paranoid is 3, and this needs 0 or CAP_PERFMON"},
+                       {"fix", "sysctl kernel.perf_event_paranoid=0"}});
+  builder.run.meta["missing_sensors"] = missing.dump();
+  const std::string page = md_of(builder.run);
+  EXPECT_LT(page.size(), 20'000u);
+  EXPECT_THAT(page, HasSubstr("more are in report.html and report.json"));
+  EXPECT_THAT(page, HasSubstr("| dragon | 3 | "));
+  std::istringstream lines(page);
+  for (std::string line; std::getline(lines, line);)
+    if (line.starts_with("| ")) {
+      EXPECT_LE(std::count(line.begin(), line.end(), '|'), 13) << line;
+    }
+  EXPECT_EQ(count_of(page, "<details>"), count_of(page, "</details>"));
 }
 
 TEST(Reports, SayWhatKindOfRunItIs) {

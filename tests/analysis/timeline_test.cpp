@@ -8,6 +8,7 @@
 #include <set>
 #include <sstream>
 
+#include "analysis/analyze_frames.h"
 #include "planted_run.h"
 
 namespace energyprof::analysis {
@@ -37,44 +38,85 @@ std::vector<json> events_of(const json& timeline, const std::string& phase) {
   return events;
 }
 
-/// Every rule of the format that viewers rely on.
-void expect_rules(const json& timeline) {
-  EXPECT_EQ(timeline.at("displayTimeUnit"), "ms");
-  std::set<int> named_processes;
-  std::set<std::pair<int, int>> named_threads;
-  for (const json& event : events_of(timeline, "M")) {
-    if (event.at("name") == "process_name") named_processes.insert(event.at("pid").get<int>());
-    if (event.at("name") == "thread_name")
-      named_threads.emplace(event.at("pid").get<int>(), event.at("tid").get<int>());
-  }
-  std::map<std::string, double> last_us;
-  std::map<std::string, double> slice_end_us;
-  for (const json& event : timeline.at("traceEvents")) {
+/// Every rule of the format that viewers rely on, event by event in the order of the file.
+class Rules {
+ public:
+  void check(const json& event) {
     const auto phase = event.at("ph").get<std::string>();
-    if (phase == "M") continue;
-    const int pid = event.at("pid").get<int>();
-    const int tid = event.at("tid").get<int>();
-    EXPECT_TRUE(named_processes.contains(pid)) << event;
-    EXPECT_TRUE(named_threads.contains({pid, tid})) << event;
+    const auto name = event.at("name").get<std::string>();
+    ASSERT_FALSE(name.empty()) << event;
+    ASSERT_TRUE(event.at("pid").is_number_unsigned() && event.at("tid").is_number_unsigned());
+    ASSERT_TRUE(event.at("args").is_object()) << event;
+    const std::pair<int, int> thread(event.at("pid").get<int>(), event.at("tid").get<int>());
+    if (phase == "M") return check_name(event, name, thread);
+    ASSERT_TRUE(processes_.contains(thread.first)) << "named before it is used: " << event;
+    ASSERT_TRUE(threads_.contains(thread)) << "named before it is used: " << event;
     const auto ts = event.at("ts").get<double>();
-    EXPECT_TRUE(std::isfinite(ts) && ts >= 0) << event;
-    std::string track = std::to_string(pid) + "/" + std::to_string(tid) + "/" + phase;
+    ASSERT_TRUE(std::isfinite(ts) && ts >= 0) << event;
+    std::string track = phase + std::to_string(thread.first) + "/" + std::to_string(thread.second);
+    std::set<std::string> keys{"ph", "name", "pid", "tid", "args", "ts"};
     if (phase == "C") {
-      track += event.at("name").get<std::string>();
-      EXPECT_TRUE(event.at("args").at("value").is_number()) << event;
+      track += name;
+      ASSERT_EQ(event.at("args").size(), 1u) << event;
+      ASSERT_TRUE(event.at("args").at("value").is_number()) << event;
+      ASSERT_TRUE(name.ends_with("]")) << "counters carry their unit: " << event;
+    } else if (phase == "X") {
+      keys.insert({"dur", "cat"});
+      const auto dur = event.at("dur").get<double>();
+      ASSERT_TRUE(std::isfinite(dur) && dur >= 0) << event;
+      // Slices of a track follow each other: none overlaps, so none needs to be nested.
+      ASSERT_GE(ts, slice_end_us_[track] - 1e-4) << event;
+      slice_end_us_[track] = ts + dur;
+      if (event.at("args").contains("outlier")) check_outlier(event.at("args"));
+    } else {
+      ASSERT_EQ(phase, "i") << event;
+      keys.insert({"s", "cat"});
+      ASSERT_EQ(event.at("s"), "g") << event;
     }
-    if (last_us.contains(track)) {
-      EXPECT_GE(ts, last_us[track]) << event;
-    }
-    last_us[track] = ts;
-    if (phase != "X") continue;
-    const auto dur = event.at("dur").get<double>();
-    EXPECT_GE(dur, 0) << event;
-    if (slice_end_us.contains(track)) {
-      EXPECT_GE(ts, slice_end_us[track] - 1e-4) << event;
-    }
-    slice_end_us[track] = ts + dur;
+    std::set<std::string> found;
+    for (const auto& [key, value] : event.items()) found.insert(key);
+    ASSERT_EQ(found, keys) << event;
+    ASSERT_GE(ts, last_us_[track]) << event;
+    last_us_[track] = ts;
+    ++counts_[phase];
+    if (event.contains("cat")) ++counts_[event.at("cat").get<std::string>()];
+    if (event.at("args").contains("outlier")) ++counts_["outlier"];
   }
+  /// Of a phase or category, or of "outlier".
+  std::size_t count(const std::string& what) { return counts_[what]; }
+
+ private:
+  void check_name(const json& event, const std::string& name, std::pair<int, int> thread) {
+    const bool is_index = name.ends_with("_sort_index");
+    ASSERT_TRUE(is_index || name == "process_name" || name == "thread_name") << event;
+    const json& value = event.at("args").at(is_index ? "sort_index" : "name");
+    ASSERT_TRUE(is_index ? value.is_number_unsigned() : value.is_string()) << event;
+    if (name == "process_name") {
+      ASSERT_TRUE(processes_.insert(thread.first).second) << "a second name: " << event;
+    }
+    if (name == "thread_name") {
+      ASSERT_TRUE(threads_.insert(thread).second) << "a second name: " << event;
+    }
+  }
+  static void check_outlier(const json& args) {
+    ASSERT_TRUE(args.at("cause").is_string()) << args;
+    const double confidence = args.at("confidence");
+    ASSERT_TRUE(confidence >= 0 && confidence <= 1) << args;
+  }
+
+  std::set<int> processes_;
+  std::set<std::pair<int, int>> threads_;
+  std::map<std::string, double> last_us_;
+  std::map<std::string, double> slice_end_us_;
+  std::map<std::string, std::size_t> counts_;
+};
+
+Rules expect_rules(const json& timeline) {
+  EXPECT_EQ(timeline.at("displayTimeUnit"), "ms");
+  EXPECT_TRUE(timeline.at("otherData").is_object());
+  Rules rules;
+  for (const json& event : timeline.at("traceEvents")) rules.check(event);
+  return rules;
 }
 
 TEST(Timeline, KeepsTheRulesOfTheFormat) {
@@ -186,6 +228,111 @@ TEST(Timeline, ThinsUnlessFullAndSaysSo) {
   for (const json& counter : counters) peak |= counter.at("args").at("value") == 500;
   EXPECT_TRUE(peak) << "a single high sample was lost";
   EXPECT_NE(thin.at("otherData").at("samples"), full.at("otherData").at("samples"));
+}
+
+/// `frame_count` frames, every tenth slow, and most of as many throttle intervals and pauses.
+RunRecord restless_run(std::size_t frame_count, std::size_t channel_count,
+                       std::size_t sample_count) {
+  RunBuilder builder;
+  for (std::size_t trial = 0; trial < 10; ++trial) {
+    std::vector<double> times_ms;
+    for (std::size_t i = 0; i < frame_count / 10; ++i) times_ms.push_back(i % 10 == 7 ? 3 : 1);
+    builder.add_trial("m", 0, trial % 2 == 0 ? "A" : "B", times_ms);
+  }
+  const int64_t run_ns = builder.now_ns - planted::begin_ns;
+  const auto steps = static_cast<std::size_t>(run_ns / 200'000);
+  builder.add_channel("x.throttle.pl1", Quantity::throttle, Unit::none, Kind::flag, 200'000, steps,
+                      [](std::size_t i) { return i % (5 + i / 50 % 7) < 2 ? 1.0 : 0.0; });
+  for (std::size_t channel = 1; channel < channel_count; ++channel)
+    builder.add_channel("x.energy" + std::to_string(channel), Quantity::energy, Unit::microjoule,
+                        Kind::cumulative, run_ns / static_cast<int64_t>(sample_count), sample_count,
+                        [](std::size_t i) { return static_cast<double>(i * 10); });
+  for (std::size_t i = 0; i < frame_count; ++i) {
+    Event event;
+    event.t_ns = planted::begin_ns + static_cast<int64_t>(i) * 1'000'000;
+    event.severity = i % 1'000 == 500 ? Severity::error : Severity::info;
+    event.kind = "missed-ticks";
+    builder.run.events.push_back(event);
+  }
+  builder.close();
+  return builder.run;
+}
+
+TEST(Timeline, OfAHugeRunStaysBelowAMillionEventsAndKeepsOutliers) {
+  const RunRecord run = restless_run(100'000, 40, 125'000);
+  const Analysis analysis = analyze_frames(run);
+  ASSERT_GT(analysis.outliers.size(), 9'000u);
+  ASSERT_GT(analysis.throttling.sources.at(0).active.spans().size(), 60'000u);
+  std::ostringstream out;
+  write_timeline(run, out, {}, &analysis);
+  // An event a line: the whole would need much memory at once.
+  std::istringstream lines(std::move(out).str());
+  Rules rules;
+  std::size_t event_count = 0;
+  for (std::string line; std::getline(lines, line);) {
+    if (!line.starts_with("{\"ph\"")) continue;
+    if (line.ends_with(",")) line.pop_back();
+    rules.check(json::parse(line));
+    ++event_count;
+  }
+  EXPECT_LE(event_count, 1'000'000u);
+  EXPECT_EQ(rules.count("frame"), run.frames.size());
+  EXPECT_EQ(rules.count("outlier"), analysis.outliers.size());
+  EXPECT_GT(rules.count("throttle"), 60'000u);
+  EXPECT_GT(rules.count("C"), 250'000u);
+}
+
+TEST(Timeline, SharesFewEventsAndSaysWhatIsLeftOut) {
+  const RunRecord run = restless_run(2'000, 6, 3'000);
+  const Analysis analysis = analyze_frames(run);
+  std::ostringstream out;
+  write_timeline(run, out, {.max_event_count = 1'500}, &analysis);
+  const json timeline = json::parse(out.str());
+  Rules rules = expect_rules(timeline);
+  EXPECT_LE(timeline.at("traceEvents").size(), 1'500u);
+  EXPECT_EQ(rules.count("outlier"), analysis.outliers.size());
+  EXPECT_GT(rules.count("frame"), rules.count("outlier"));
+  EXPECT_GT(rules.count("throttle"), 20u);
+  EXPECT_GT(rules.count("C"), 300u);
+  std::size_t error_count = 0;
+  for (const json& event : events_of(timeline, "i"))
+    error_count += event.at("args").at("severity") == "error" ? 1 : 0;
+  EXPECT_EQ(error_count, 2u) << "the gravest first";
+  const json& said = timeline.at("otherData");
+  EXPECT_NE(said.at("frames").get<std::string>().find(" of 2000: every outlier"),
+            std::string::npos);
+  EXPECT_NE(said.at("throttling").get<std::string>().find("gaps up to "), std::string::npos);
+  EXPECT_NE(said.at("events").get<std::string>().find("75 of 2000"), std::string::npos);
+}
+
+TEST(Timeline, InFullHoldsEverything) {
+  const RunRecord run = restless_run(2'000, 6, 3'000);
+  const Analysis analysis = analyze_frames(run);
+  std::ostringstream out;
+  write_timeline(run, out, {.full = true, .max_event_count = 1'500}, &analysis);
+  Rules rules = expect_rules(json::parse(out.str()));
+  std::size_t sample_count = 0;
+  for (const auto& [id, series] : run.series) sample_count += series.t_ns.size();
+  EXPECT_EQ(rules.count("frame"), run.frames.size());
+  EXPECT_EQ(rules.count("throttle"), analysis.throttling.sources.at(0).active.spans().size());
+  EXPECT_EQ(rules.count("i"), run.events.size());
+  EXPECT_GE(rules.count("C"), sample_count) << "and the power of energy counters";
+}
+
+TEST(Timeline, BeginsWithThrottlingThatBeganBeforeTheRun) {
+  RunBuilder builder;
+  builder.add_trial("m", 0, "A", std::vector<double>(30, 1.0));
+  builder.close();
+  Analysis analysis = analyze_frames(builder.run);
+  builder.add_channel("x.throttle", Quantity::throttle, Unit::none, Kind::flag, 1'000'000, 30,
+                      [](std::size_t) { return 1.0; });
+  ThrottleSource source;
+  source.active = SpanSet({{planted::begin_ns - 1'500, planted::begin_ns + 1'000'000}});
+  analysis.throttling.sources.push_back(source);
+  std::ostringstream out;
+  write_timeline(builder.run, out, {}, &analysis);
+  Rules rules = expect_rules(json::parse(out.str()));
+  EXPECT_EQ(rules.count("throttle"), 1u);
 }
 
 TEST(Timeline, ConstantCountersNeedTwoPoints) {

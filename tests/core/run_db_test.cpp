@@ -306,6 +306,15 @@ TEST_F(RunDb, ReadsARunOfAnotherTool) {
   EXPECT_EQ(run.frames.at(0).ray_count, std::nullopt);
 }
 
+TEST_F(RunDb, SortsSamplesThatWereStoredInAnyOrder) {
+  execute(foreign_run);
+  execute("INSERT INTO samples VALUES(2,30,3),(1,20,5),(2,10,1),(1,10,4),(2,20,2),(1,10,7);");
+  const RunRecord run = read_run(file());
+  EXPECT_EQ(run.series.at(1).t_ns, (std::vector<int64_t>{10, 10, 20}));
+  EXPECT_EQ(run.series.at(1).value, (std::vector<double>{4, 7, 5})) << "as stored, at equal times";
+  EXPECT_EQ(run.series.at(2).value, (std::vector<double>{1, 2, 3}));
+}
+
 TEST_F(RunDb, TakesWhatAnotherToolKnowsOfChannels) {
   execute(foreign_run);
   execute(
