@@ -183,11 +183,14 @@ int main(int argc, char** argv) {
   std::string list;
   size_t file_count = 0;
   for (const auto& source : found.sources)
-    for (const energyprof::Channel& channel : source->channels())
-      if (fs::is_regular_file(channel.origin)) {
-        list += ' ' + channel.origin;
-        ++file_count;
-      }
+    for (const energyprof::Channel& channel : source->channels()) {
+      // Links of the machine's directory may be text files.
+      const std::string file =
+          root.resolve(channel.origin.substr(copy.directory().size() + 1)).path;
+      if (!fs::is_regular_file(file)) continue;
+      list += ' ' + file;
+      ++file_count;
+    }
   const std::string count_file = copy.directory() + "/rounds";
   const std::string loop = fmt::format(
       "n=0; trap 'echo $n > {}; exit' INT; while :; do for f in{}; do read -r v < $f; done; "
