@@ -85,8 +85,12 @@ def align(channel, series, frames):
         return integral[i] + since * (value[i] - value[0]), covered[i] + since
 
     (a, a_time), (b, b_time) = up_to(begin), up_to(end)
+    first = np.searchsorted(t, np.maximum(begin, frames.begin_ns))
+    last = np.searchsorted(t, np.minimum(end, frames.end_ns))
+    total = np.concatenate([[0.0], np.cumsum(value - value[0])])
     with np.errstate(divide="ignore", invalid="ignore"):
-        return value[0] + (b - a) / (b_time - a_time)
+        held_mean = (b - a) / (b_time - a_time)
+        return value[0] + np.where(last > first, (total[last] - total[first]) / (last - first), held_mean)
 
 
 def trends(frames):
