@@ -6,6 +6,7 @@
 #include <boost/math/distributions/students_t.hpp>
 #include <cctype>
 #include <cmath>
+#include <limits>
 #include <map>
 #include <numeric>
 #include <random>
@@ -16,6 +17,7 @@
 #include "analysis/analyze.h"
 #include "analysis/energy_curve.h"
 #include "analysis/format.h"
+#include "analysis/idle_baseline.h"
 #include "analysis/nnls.h"
 
 namespace energyprof::analysis {
@@ -27,6 +29,12 @@ constexpr std::size_t max_block_count = 100;
 constexpr std::size_t regression_replicate_count = 300;
 /// Of an idle stretch left out at each end: what came before it fades.
 constexpr double idle_margin_ratio = 0.05;
+/// What has to be left of it.
+constexpr int64_t min_idle_updates = 2;
+/// Degrees of freedom below which a row does not know its own scatter.
+constexpr double min_scatter_freedom = 10;
+/// And below which trials say nothing about how trials differ.
+constexpr double min_trial_freedom = 3;
 
 double seconds(int64_t duration_ns) { return static_cast<double>(duration_ns) * 1e-9; }
 
@@ -61,13 +69,21 @@ struct Window {
   double length_s = 0;
   double frame_count = 0;
   double ray_count = 0;
+  std::size_t trial = 0;  // into Plan::stretches
+  IdleBaseline::Shape rest{};
 };
 
-struct IdleWindow {
-  std::size_t stretch = 0;
+/// What a window may differ by from the mean of its cell: energy and time per frame, as ratios.
+struct Deviation {
   double joules = 0;
-  double error_j = 0;
-  double length_s = 0;
+  double length = 0;
+};
+
+/// How windows, or whole trials, of a cell differ from each other.
+struct Scatter {
+  std::vector<Deviation> residuals;
+  double freedom = 0;
+  double variance = 0;  // of the energy of one
 };
 
 std::string lower(std::string text) {
@@ -83,6 +99,12 @@ double t_quantile(double freedom) {
 Estimate around(double value, double standard_error, double freedom) {
   const double reach = t_quantile(freedom) * standard_error;
   return {value, {value - reach, value + reach}};
+}
+
+/// The standard error of an estimate if it were normal: half of its interval over 1.96.
+double error_ratio(const Estimate& estimate) {
+  const double error = (estimate.interval.high - estimate.interval.low) / (2 * 1.96);
+  return estimate.value > 0 ? error / estimate.value : std::numeric_limits<double>::infinity();
 }
 
 // ---------------------------------------------------------------------------- the plan
@@ -166,12 +188,12 @@ class Pricing {
     window_ns_ =
         static_cast<int64_t>(config.updates_per_window * static_cast<double>(curve.update_ns()));
     cut_idle();
-    for (std::size_t i = 0; i < plan.stretches.size(); ++i) cut_windows(plan.stretches[i], 1);
+    for (std::size_t i = 0; i < plan.stretches.size(); ++i) cut_windows(i, 1);
     split_single_windows();
   }
 
   std::vector<EnergyRow> rows(const std::string& channel, EnergyDomain domain, bool integrated) {
-    draw_idle();
+    idle_draws_ = idle_.draw(config_.replicate_count, config_.seed);
     std::vector<EnergyRow> result;
     for (std::size_t r = 0; r < plan_.rows.size(); ++r) {
       EnergyRow row = plan_.rows[r];
@@ -200,7 +222,8 @@ class Pricing {
       for (const Window& window : windows_)
         if (window.cell == cell) add(window, sum);
       if (sum.frame_count > 0)
-        result[cell] = (sum.joules - idle_w_ * sum.length_s) / sum.frame_count;
+        result[cell] =
+            (sum.joules - IdleBaseline::joules(sum.rest, idle_.terms())) / sum.frame_count;
     }
     return result;
   }
@@ -211,88 +234,57 @@ class Pricing {
     sum.length_s += window.length_s;
     sum.frame_count += window.frame_count;
     sum.ray_count += window.ray_count;
+    for (std::size_t k = 0; k < sum.rest.size(); ++k) sum.rest[k] += window.rest[k];
   }
 
   // -- idle
 
   void cut_idle() {
+    std::vector<IdlePiece> pieces;
     for (std::size_t i = 0; i < plan_.idle.size(); ++i) {
       const Stretch& whole = plan_.idle[i];
       const auto margin_ns =
-          std::max(2 * curve_.update_ns(),
+          std::max(curve_.update_ns() * 3 / 2,
                    static_cast<int64_t>(idle_margin_ratio *
                                         static_cast<double>(whole.end_ns - whole.begin_ns)));
       const Stretch inner{std::max(whole.begin_ns + margin_ns, curve_.begin_ns()),
                           std::min(whole.end_ns - margin_ns, curve_.end_ns())};
       const int64_t length_ns = inner.end_ns - inner.begin_ns;
-      if (length_ns < window_ns_ / 4) continue;
+      if (length_ns < min_idle_updates * curve_.update_ns()) continue;
       const auto count = static_cast<int64_t>(std::clamp<std::size_t>(
           static_cast<std::size_t>(length_ns / window_ns_), 1, max_windows_per_idle));
       for (int64_t k = 0; k < count; ++k) {
         const int64_t begin_ns = inner.begin_ns + k * length_ns / count;
         const int64_t end_ns = inner.begin_ns + (k + 1) * length_ns / count;
         const auto drawn = curve_.between(begin_ns, end_ns);
-        if (drawn) idle_.push_back({i, drawn->joules, drawn->error_j, seconds(end_ns - begin_ns)});
+        if (drawn) pieces.push_back({i, begin_ns, end_ns, drawn->joules, drawn->error_j});
       }
     }
-    if (!plan_.idle_is_recorded) drop_odd_idle();
-    double joules = 0;
-    double length_s = 0;
-    for (const IdleWindow& window : idle_) {
-      joules += window.joules;
-      length_s += window.length_s;
-    }
-    if (length_s > 0) idle_w_ = joules / length_s;
+    if (!plan_.idle_is_recorded) drop_odd_idle(pieces);
+    idle_ = IdleBaseline(pieces);
   }
 
   /// Between the trials of a run that does not say when it idled, something may have been built:
-  /// windows far from the middle are not idle.
-  void drop_odd_idle() {
-    if (idle_.size() < 3) return;
+  /// pieces far from the middle are not idle.
+  static void drop_odd_idle(std::vector<IdlePiece>& pieces) {
+    if (pieces.size() < 3) return;
     std::vector<double> watts;
-    for (const IdleWindow& window : idle_) watts.push_back(window.joules / window.length_s);
+    for (const IdlePiece& piece : pieces)
+      watts.push_back(piece.joules / seconds(piece.end_ns - piece.begin_ns));
     const double middle = median(watts);
     std::vector<double> distance;
     for (double w : watts) distance.push_back(std::fabs(w - middle));
     const double reach = std::max(4 * 1.4826 * median(distance), 0.05 * middle);
-    std::vector<IdleWindow> kept;
-    for (std::size_t i = 0; i < idle_.size(); ++i)
-      if (distance[i] <= reach) kept.push_back(idle_[i]);
-    idle_ = std::move(kept);
-  }
-
-  /// Bootstrap of the baseline: stretches are drawn again where there are several, as what differs
-  /// between them (heat, background work) is what is uncertain; else the windows of the one.
-  void draw_idle() {
-    if (idle_.empty()) return;
-    std::map<std::size_t, std::vector<std::size_t>> groups;
-    for (std::size_t i = 0; i < idle_.size(); ++i) groups[idle_[i].stretch].push_back(i);
-    const bool by_stretch = groups.size() >= 3;
-    std::vector<std::vector<std::size_t>> units;
-    if (by_stretch) {
-      for (const auto& [stretch, members] : groups) units.push_back(members);
-    } else {
-      for (std::size_t i = 0; i < idle_.size(); ++i) units.push_back({i});
-    }
-    const auto count = static_cast<double>(units.size());
-    const double stretch_out = count > 1 ? std::sqrt(count / (count - 1)) : 1;
-    std::mt19937_64 random(config_.seed);
-    std::normal_distribution<double> normal;
-    for (std::size_t replicate = 0; replicate < config_.replicate_count; ++replicate) {
-      double joules = 0;
-      double length_s = 0;
-      for (std::size_t draw = 0; draw < units.size(); ++draw)
-        for (std::size_t i : units[random() % units.size()]) {
-          joules += idle_[i].joules + normal(random) * idle_[i].error_j;
-          length_s += idle_[i].length_s;
-        }
-      idle_draws_w_.push_back(idle_w_ + stretch_out * (joules / length_s - idle_w_));
-    }
+    std::vector<IdlePiece> kept;
+    for (std::size_t i = 0; i < pieces.size(); ++i)
+      if (distance[i] <= reach) kept.push_back(pieces[i]);
+    pieces = std::move(kept);
   }
 
   // -- windows
 
-  void cut_windows(const TimedStretch& stretch, std::size_t at_least) {
+  void cut_windows(std::size_t trial, std::size_t at_least) {
+    const TimedStretch& stretch = plan_.stretches[trial];
     const auto& frames = plan_.frames;
     const int64_t begin_ns = frames[stretch.first].begin_ns;
     const int64_t end_ns = frames[stretch.last - 1].end_ns;
@@ -318,7 +310,9 @@ class Pricing {
                       drawn->error_j,
                       seconds(to_ns - from_ns),
                       static_cast<double>(last - first),
-                      0};
+                      0,
+                      trial,
+                      idle_.shape(from_ns, to_ns)};
         bool rays_known = true;
         for (std::size_t i = first; i < last; ++i) {
           rays_known = rays_known && plan_.rays[i] >= 0;
@@ -336,11 +330,12 @@ class Pricing {
   void split_single_windows() {
     std::map<std::size_t, std::size_t> count;
     for (const Window& window : windows_) ++count[window.cell];
-    for (const TimedStretch& stretch : plan_.stretches) {
+    for (std::size_t trial = 0; trial < plan_.stretches.size(); ++trial) {
+      const TimedStretch& stretch = plan_.stretches[trial];
       const auto found = count.find(stretch.cell);
       if (found == count.end() || found->second != 1) continue;
       const std::size_t before = windows_.size();
-      cut_windows(stretch, 2);
+      cut_windows(trial, 2);
       if (windows_.size() < before + 2) {
         windows_.resize(before);
         continue;
@@ -364,64 +359,158 @@ class Pricing {
     return true;
   }
 
+  /// What the windows of the row, or of all rows, deviate by from the mean of their cell; those of
+  /// each trial together if `by_trial`.
+  [[nodiscard]] Scatter scatter(std::optional<std::size_t> row, bool by_trial) const {
+    std::map<std::size_t, std::map<std::size_t, Window>> cells;
+    for (std::size_t i = 0; i < windows_.size(); ++i) {
+      const Window& window = windows_[i];
+      if (!row || plan_.row_of_cell[window.cell] == *row)
+        add(window, cells[window.cell][by_trial ? window.trial : i]);
+    }
+    Scatter result;
+    for (const auto& [cell, units] : cells) {
+      if (units.size() < 2) continue;
+      Window sum;
+      for (const auto& [id, unit] : units) add(unit, sum);
+      const auto count = static_cast<double>(units.size());
+      // Deviations from a mean of the same values are a little too small.
+      const double stretch_out = std::sqrt(count / (count - 1));
+      for (const auto& [id, unit] : units) {
+        const double share = unit.frame_count / sum.frame_count;
+        const Deviation deviation{stretch_out * (unit.joules / sum.joules / share - 1),
+                                  stretch_out * (unit.length_s / sum.length_s / share - 1)};
+        result.residuals.push_back(deviation);
+        result.variance += deviation.joules * deviation.joules;
+      }
+      result.freedom += count - 1;
+    }
+    if (!result.residuals.empty()) result.variance /= static_cast<double>(result.residuals.size());
+    return result;
+  }
+
   void price_by_windows(std::size_t r, EnergyRow& row) {
-    std::map<std::size_t, std::vector<Window>> cells;
+    std::map<std::size_t, Window> cells;
+    std::vector<Window> windows;
+    std::set<std::size_t> trials;
     Window sum;
     double edge_squares = 0;
+    bool rays_known = true;
     for (const Window& window : windows_) {
       if (plan_.row_of_cell[window.cell] != r) continue;
-      cells[window.cell].push_back(window);
+      add(window, cells[window.cell]);
       add(window, sum);
+      windows.push_back(window);
+      trials.insert(window.trial);
       edge_squares += window.error_j * window.error_j;
-      ++row.window_count;
+      rays_known = rays_known && window.ray_count > 0;
     }
-    bool rays_known = true;
-    for (const auto& [cell, windows] : cells)
-      for (const Window& window : windows) rays_known = rays_known && window.ray_count > 0;
+    row.window_count = windows.size();
+
+    // Windows of a trial may have something in common that the next trial has not: the unit is what
+    // makes the larger error. A row with few of its own learns from all how much they differ.
+    const auto enough = [&](bool by_trial) {
+      Scatter own = scatter(r, by_trial);
+      return own.freedom >= min_scatter_freedom ? own : scatter(std::nullopt, by_trial);
+    };
+    Scatter spread = enough(false);
+    bool by_trial = false;
+    if (Scatter of_trials = enough(true);
+        of_trials.freedom >= min_trial_freedom &&
+        of_trials.variance * static_cast<double>(windows.size()) >
+            spread.variance * static_cast<double>(trials.size())) {
+      spread = std::move(of_trials);
+      by_trial = true;
+    }
 
     std::mt19937_64 random(config_.seed + r);
     std::normal_distribution<double> normal;
-    std::vector<double> gross, net, per_ray;
+    std::vector<double> gross, net, rest;
+    const double rest_j = IdleBaseline::joules(sum.rest, idle_.terms());
     for (std::size_t replicate = 0; replicate < config_.replicate_count; ++replicate) {
-      Window drawn;
-      for (const auto& [cell, windows] : cells)
-        for (std::size_t k = 0; k < windows.size(); ++k) {
-          const Window& window = windows[random() % windows.size()];
-          add(window, drawn);
-          drawn.joules += normal(random) * window.error_j;
-        }
-      gross.push_back(drawn.joules / drawn.frame_count);
+      double joules = 0;
+      double length_s = 0;
+      Deviation deviation;
+      std::optional<std::size_t> trial;
+      for (const Window& window : windows) {
+        if (!spread.residuals.empty() && (!by_trial || trial != window.trial))
+          deviation = spread.residuals[random() % spread.residuals.size()];
+        trial = window.trial;
+        const Window& cell = cells[window.cell];
+        const double share = window.frame_count / cell.frame_count;
+        joules += share * cell.joules * (1 + deviation.joules) + normal(random) * window.error_j;
+        length_s += share * cell.length_s * (1 + deviation.length);
+      }
+      gross.push_back(joules / sum.frame_count);
       if (idle_.empty()) continue;
-      const double net_j = drawn.joules - idle_draws_w_[replicate] * drawn.length_s;
-      net.push_back(net_j / drawn.frame_count);
-      if (rays_known) per_ray.push_back(net_j / drawn.ray_count * 1e9);
+      net.push_back((joules - rest_j * length_s / sum.length_s) / sum.frame_count);
+      rest.push_back(IdleBaseline::joules(sum.rest, idle_draws_[replicate]) / sum.frame_count);
     }
-    const auto count = static_cast<double>(row.window_count);
-    const double freedom = count - static_cast<double>(cells.size());
-    // Drawing n values from n makes them a little too alike, cell by cell.
-    const double correction = freedom > 0 ? std::sqrt(count / freedom) : 1;
-    const auto estimate = [&](double value, const std::vector<double>& replicates) {
-      return around(value, *stddev(replicates) * correction, freedom);
-    };
     row.edge_error_ratio = std::sqrt(edge_squares) / sum.joules;
-    row.gross_joules_per_frame = estimate(sum.joules / sum.frame_count, gross);
+    row.gross_joules_per_frame =
+        around(sum.joules / sum.frame_count, *stddev(gross), spread.freedom);
+    if (const double error = error_ratio(*row.gross_joules_per_frame);
+        error > config_.max_error_ratio) {
+      row.gross_joules_per_frame.reset();
+      row.refused = too_uncertain("drew", error, sum.length_s);
+      return;
+    }
     if (idle_.empty()) {
       row.refused = no_idle();
       return;
     }
-    const double net_j = sum.joules - idle_w_ * sum.length_s;
-    row.idle_w = idle_w_;
-    row.joules_per_frame = estimate(net_j / sum.frame_count, net);
-    if (rays_known) row.nj_per_ray = estimate(net_j / sum.ray_count * 1e9, per_ray);
-    row.watts_above_idle = net_j / sum.length_s;
-    row.edp_js = row.joules_per_frame->value * plan_.mean_frame_s[r];
+    // What is drawn while tracing and what at rest are known independently of each other: their
+    // variances add up, and the degrees of freedom by B. Welch, "The Generalization of 'Student's'
+    // Problem When Several Different Population Variances Are Involved", Biometrika 34, 1947.
+    const double busy_variance = std::pow(*stddev(net), 2);
+    const double rest_variance = std::pow(*stddev(rest), 2);
+    const double variance = busy_variance + rest_variance;
+    const double freedom = variance * variance /
+                           std::max(std::pow(busy_variance, 2) / std::max(spread.freedom, 1.0) +
+                                        std::pow(rest_variance, 2) / idle_.freedom(),
+                                    1e-300);
+    const double net_j = sum.joules - rest_j;
+    row.idle_w = rest_j / sum.length_s;
+    set_net(row, around(net_j / sum.frame_count, std::sqrt(variance), freedom),
+            rays_known ? std::optional(sum.ray_count / sum.frame_count) : std::nullopt,
+            plan_.mean_frame_s[r], sum.length_s);
+  }
+
+  /// The net numbers of a row, or why there are none.
+  void set_net(EnergyRow& row, const Estimate& joules, std::optional<double> ray_count,
+               double frame_s, double traced_s) const {
+    if (const double error = error_ratio(joules); error > config_.max_error_ratio) {
+      row.refused = too_uncertain("drew above idle", error, traced_s);
+      return;
+    }
+    row.joules_per_frame = joules;
+    if (ray_count && *ray_count > 0) {
+      const double factor = 1e9 / *ray_count;
+      row.nj_per_ray = Estimate{joules.value * factor,
+                                {joules.interval.low * factor, joules.interval.high * factor}};
+    }
+    row.watts_above_idle = joules.value / frame_s;
+    row.edp_js = joules.value * frame_s;
+  }
+
+  /// Errors fall with the square root of what is measured.
+  [[nodiscard]] std::string too_uncertain(std::string_view what, double error,
+                                          double traced_s) const {
+    if (!std::isfinite(error))
+      return fmt::format("what it {} is not above 0: it is lost in what the error may be", what);
+    const double factor = std::pow(error / config_.max_error_ratio, 2);
+    return fmt::format(
+        "what it {} is known with an error of {:.0f} %, and {:.0f} % is the most. Windows of {} of "
+        "timed frames in all, instead of {}, would be needed",
+        what, std::min(999.0, 100 * error), 100 * config_.max_error_ratio,
+        scaled(traced_s * factor, "s"), scaled(traced_s, "s"));
   }
 
   [[nodiscard]] std::string no_idle() const {
     return fmt::format(
         "what the machine draws at rest is unknown, as no idle stretch of {} or more was recorded: "
         "nothing can be taken off, and only the gross value stands",
-        scaled(seconds(window_ns_ / 4 + 4 * curve_.update_ns()), "s"));
+        scaled(seconds((min_idle_updates + 3) * curve_.update_ns()), "s"));
   }
 
   // -- regression
@@ -516,7 +605,10 @@ class Pricing {
             0, std::min(end_ns, rest[k].end_ns) - std::max(begin_ns, rest[k].begin_ns));
       if (foreign || known_ns * 20 < (end_ns - begin_ns) * 19) continue;
       const double joules = curve_.joules()[i] - curve_.joules()[i - 1];
-      frames_in.back() = seconds(end_ns - begin_ns);
+      // Power at rest is one unknown; what is known of its course over the run is its shape.
+      const double rest_j =
+          idle_.empty() ? 0 : IdleBaseline::joules(idle_.shape(begin_ns, end_ns), idle_.terms());
+      frames_in.back() = rest_j > 0 ? rest_j / idle_.mean_w() : seconds(end_ns - begin_ns);
       used.push_back(e.width - 1);
       const std::size_t block = block_at(begin_ns, block_count);
       for (std::size_t a : used) {
@@ -602,17 +694,11 @@ class Pricing {
     row.edge_error_ratio = error / gross_j;
     if (!(*row.edge_error_ratio <= config_.max_error_ratio)) return false;
     row.gross_joules_per_frame = around(gross_j, error, block_count - 1);
-    row.joules_per_frame = around(net_j, *stddev(net) * correction, block_count - 1);
-    if (rays_known && ray_count > 0) {
-      const double factor = 1e9 * frame_count / ray_count;
-      const Estimate& frame = *row.joules_per_frame;
-      row.nj_per_ray = Estimate{frame.value * factor,
-                                {frame.interval.low * factor, frame.interval.high * factor}};
-    }
     row.idle_w = base_w;
-    row.watts_above_idle = net_j / length_s;
-    row.edp_js = net_j * plan_.mean_frame_s[r];
     row.window_count = e.blocks[r].size();
+    set_net(row, around(net_j, *stddev(net) * correction, block_count - 1),
+            rays_known ? std::optional(ray_count / frame_count) : std::nullopt,
+            plan_.mean_frame_s[r], stretch_s);
     return true;
   }
 
@@ -648,9 +734,8 @@ class Pricing {
   const EnergyConfig& config_;
   int64_t window_ns_ = 0;
   std::vector<Window> windows_;
-  std::vector<IdleWindow> idle_;
-  double idle_w_ = 0;
-  std::vector<double> idle_draws_w_;  // by replicate
+  IdleBaseline idle_;
+  std::vector<IdleBaseline::Terms> idle_draws_;  // by replicate
   std::optional<Equations> equations_;
   std::optional<std::vector<double>> solution_;
   std::vector<std::vector<double>> solutions_;

@@ -40,8 +40,8 @@ struct EnergyRow {
   std::optional<Estimate> gross_joules_per_frame;  ///< all that was drawn
   std::optional<Estimate> nj_per_ray;              ///< net
   std::optional<double> edp_js;                    ///< net joules x seconds, per frame
-  std::optional<double> idle_w;
-  std::optional<double> watts_above_idle;  ///< average while frames were traced
+  std::optional<double> idle_w;                    ///< while these frames were traced
+  std::optional<double> watts_above_idle;  ///< average while a frame was traced, gaps left out
   std::optional<double> edge_error_ratio;  ///< of gross: one standard deviation
   std::size_t window_count = 0;
 };

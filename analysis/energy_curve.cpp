@@ -113,11 +113,11 @@ std::optional<Drawn> EnergyCurve::between(int64_t begin_ns, int64_t end_ns) cons
     drawn.error_j = (gap_ns(first) - length_ns) * power;
     return drawn;
   }
-  const auto edge_ns = [&](std::size_t i) {
-    return std::max(gap_ns(i),
-                    static_cast<double>(std::min<int64_t>(update_ns_, end_ns - begin_ns)));
-  };
-  drawn.error_j = std::hypot(edge_ns(first), edge_ns(last)) / std::sqrt(12.0) * power;
+  // What an edge may be off by is the energy of the update it falls into, at least that of a usual
+  // one: a counter that rests while nothing is drawn has long updates of little energy.
+  const double least_j = power * static_cast<double>(std::min(update_ns_, end_ns - begin_ns));
+  const auto edge_j = [&](std::size_t i) { return std::max(joules_[i] - joules_[i - 1], least_j); };
+  drawn.error_j = std::hypot(edge_j(first), edge_j(last)) / std::sqrt(12.0);
   return drawn;
 }
 

@@ -2,6 +2,10 @@
 // and 50 million samples in memory. Prints CSV, a line per size.
 //
 //   analyze_bench [LARGEST] > analyze.csv
+//   analyze_bench --write FILE [SAMPLES]
+//
+// The second form writes such a run as run.sqlite instead, for `energyprof analyze` and for
+// analyze_pandas.py to read the same.
 //
 // Everything of analyze() is in it, permutation tests included; reading and writing files is not.
 #include <fmt/format.h>
@@ -11,8 +15,10 @@
 #include <cmath>
 #include <cstdlib>
 #include <random>
+#include <string_view>
 
 #include "analysis/analyze.h"
+#include "core/run_db.h"
 
 namespace {
 
@@ -99,9 +105,31 @@ struct Machine {
   }
 };
 
+void write(const RunRecord& run, const std::string& file) {
+  RunWriter writer(file);
+  for (const Channel& channel : run.channels) writer.add_channel(channel);
+  for (const auto& [id, series] : run.series) {
+    std::vector<Sample> samples;
+    for (std::size_t i = 0; i < series.t_ns.size(); ++i)
+      samples.push_back({id, series.t_ns[i], std::llround(series.value[i]), 0});
+    writer.add_samples(samples);
+    writer.flush();
+  }
+  for (const Trial& trial : run.trials) writer.put_trial(trial);
+  for (const FrameRecord& frame : run.frames) writer.add_frame(frame);
+  writer.close();
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
+  if (argc > 2 && std::string_view(argv[1]) == "--write") {
+    Machine machine;
+    machine.trace();
+    machine.sense(argc > 3 ? std::strtoull(argv[3], nullptr, 10) : 5'000'000);
+    write(machine.run, argv[2]);
+    return 0;
+  }
   const std::size_t largest = argc > 1 ? std::strtoull(argv[1], nullptr, 10) : 5'000'000;
   fmt::print("frames,channels,samples,seconds,peak_mib,correlations,related\n");
   for (std::size_t sample_count = 500'000; sample_count <= largest; sample_count *= 10) {

@@ -144,6 +144,31 @@ TEST(Compare, CopesWithNothingInCommon) {
   EXPECT_FALSE(compare(one.run, one.run).cells.front().time);
 }
 
+TEST(Compare, FramesThatDependOnEachOtherAreWorthLess) {
+  // One trial each way of the same code; the clock or the load wanders over some ten frames.
+  const auto wandering = [](uint64_t seed) {
+    RunBuilder builder;
+    std::mt19937_64 random(seed);
+    std::normal_distribution<double> normal;
+    double level = normal(random);
+    std::vector<double> times_ms;
+    for (int i = 0; i < 100; ++i) {
+      level = 0.9 * level + std::sqrt(1 - 0.9 * 0.9) * normal(random);
+      times_ms.push_back(4 * std::exp(0.01 * level));
+    }
+    builder.add_trial("m", 0, "A", times_ms);
+    builder.close();
+    return builder.run;
+  };
+  int different = 0;
+  for (uint64_t seed = 0; seed < test::runs(60); ++seed) {
+    const Comparison result = compare(wandering(2 * seed), wandering(2 * seed + 1));
+    ASSERT_TRUE(result.cells.at(0).time);
+    different += change_of(*result.cells[0].time) == Change::no_difference ? 0 : 1;
+  }
+  EXPECT_LE(different, 7);
+}
+
 TEST(Compare, ComparesEnergyOnTheSameChannel) {
   const auto with_energy = [](double watts) {
     RunRecord run = make_run({.seed = 1});

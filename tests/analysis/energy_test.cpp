@@ -32,6 +32,7 @@ class Machine {
   int64_t now_ns = 1'000 * second;
   RunRecord run;
   double idle_w = 5;
+  int64_t gap_ns = 0;  ///< behind each frame, at rest
   std::map<std::pair<std::string, std::string>, double> net_j, frame_count, ray_count;
 
   double noise() { return normal_(random_); }
@@ -72,6 +73,7 @@ class Machine {
         ray_count[key] += static_cast<double>(*frame.ray_count);
       }
       run.frames.push_back(frame);
+      if (gap_ns > 0) draw(gap_ns, idle_w);
     }
     trial.end_ns = now_ns;
     run.trials.push_back(trial);
@@ -215,6 +217,25 @@ TEST(EnergyCurve, LooksThroughRepeatedReadings) {
   const EnergyCurve curve(channel, series);
   EXPECT_NEAR(static_cast<double>(curve.update_ns()), 100e6, 5e6);
   EXPECT_NEAR(curve.between(1'033 * ms, 3'571 * ms)->joules, 25.38, 0.15);
+}
+
+TEST(EnergyCurve, ALongRestIsNoLongUncertainty) {
+  // Nothing for a second, then 10 mJ a millisecond: the update that ends the rest is of 10 mJ.
+  Channel channel;
+  channel.quantity = Quantity::energy;
+  channel.kind = Kind::cumulative;
+  channel.unit = Unit::millijoule;
+  SampleSeries series;
+  for (int64_t i = 0; i < 2'000; ++i) {
+    series.t_ns.push_back(i * ms);
+    series.value.push_back(10 * (std::min<double>(static_cast<double>(i), 100) +
+                                 std::max<double>(static_cast<double>(i) - 1'100, 0)));
+  }
+  const EnergyCurve curve(channel, series);
+  const auto drawn = curve.between(1'100 * ms, 1'200 * ms);
+  ASSERT_TRUE(drawn);
+  EXPECT_NEAR(drawn->joules, 1, 0.02);
+  EXPECT_NEAR(drawn->error_j, 0.01 / std::sqrt(6.0), 0.001);
 }
 
 TEST(EnergyCurve, IgnoresABrokenValue) {
@@ -364,6 +385,91 @@ TEST(Energy, PowerIsIntegratedWhereNothingCounts) {
     EXPECT_EQ(row.method, "windows, power integrated");
     EXPECT_NEAR(row.joules_per_frame->value, machine.true_joules(row),
                 0.03 * machine.true_joules(row));
+  }
+}
+
+TEST(Energy, WhatIsTakenOffIsTheRestOfThatTime) {
+  // The chip leaks 10 W at first and 14 W in the end, and each algorithm has its trials in a row.
+  Machine machine(10);
+  machine.idle_w = 10;
+  machine.idle(second / 2);
+  for (const auto& [algorithm, watts] : {std::pair("A", 8.0), {"B", 8.0}, {"C", 8.0}})
+    for (int i = 0; i < 5; ++i) {
+      machine.trace("m", 0, algorithm, watts, 5 * ms, 100);
+      machine.idle_w += 4.0 / 15;
+      machine.idle(second / 2);
+    }
+  machine.count("rapl.package-0.energy", 976 * us, ms);
+  for (const EnergyRow& row : machine.price().rows) {
+    SCOPED_TRACE(row.algorithm);
+    ASSERT_TRUE(row.joules_per_frame) << row.refused;
+    const double truth = machine.true_joules(row);
+    EXPECT_NEAR(row.joules_per_frame->value, truth, 0.04 * truth);
+    EXPECT_LE(row.joules_per_frame->interval.low, truth);
+    EXPECT_GE(row.joules_per_frame->interval.high, truth);
+  }
+}
+
+TEST(Energy, ShortRestsAddUp) {
+  // No rest is longer than six updates, but there are many.
+  Machine machine(11);
+  machine.idle(600 * ms);
+  for (int i = 0; i < 12; ++i) {
+    machine.trace("m", 0, "A", 40, 10 * ms, 300);
+    machine.idle(600 * ms);
+  }
+  machine.count("nvml.gpu0.energy", 100 * ms, 20 * ms, Unit::millijoule);
+  const EnergyRow row = machine.price().rows.front();
+  ASSERT_TRUE(row.joules_per_frame) << row.refused;
+  EXPECT_NEAR(*row.idle_w, 5, 0.5);
+  EXPECT_NEAR(row.joules_per_frame->value, machine.true_joules(row),
+              0.03 * machine.true_joules(row));
+}
+
+TEST(Energy, LittleAboveALotAtRestIsRefused) {
+  // 0.1 W above 100 W: the edges alone are worth more.
+  Machine machine(13);
+  machine.idle_w = 100;
+  machine.idle(10 * second);
+  for (int i = 0; i < 4; ++i) {
+    machine.trace("m", 0, "A", 0.1, 10 * ms, 300);
+    machine.idle(2 * second);
+  }
+  machine.count("nvml.gpu0.energy", 100 * ms, 20 * ms, Unit::millijoule);
+  const EnergyRow row = machine.price().rows.front();
+  EXPECT_FALSE(row.joules_per_frame);
+  EXPECT_FALSE(row.nj_per_ray);
+  EXPECT_THAT(row.refused, HasSubstr("above idle"));
+  ASSERT_TRUE(row.gross_joules_per_frame);
+  EXPECT_NEAR(row.gross_joules_per_frame->value, 1, 0.02);
+}
+
+TEST(Energy, FewWindowsLearnFromTheOthers) {
+  // Four algorithms, one trial of two windows each.
+  Machine machine(14);
+  machine.idle(second);
+  for (const char* algorithm : {"A", "B", "C", "D"}) {
+    machine.trace("m", 0, algorithm, 20, 5 * ms, 9);
+    machine.idle(second);
+  }
+  machine.count("rapl.package-0.energy", 976 * us, ms);
+  for (const EnergyRow& row : machine.price().rows) {
+    ASSERT_TRUE(row.joules_per_frame) << row.refused;
+    const Estimate& found = *row.joules_per_frame;
+    EXPECT_LT(found.interval.high - found.interval.low, 0.4 * found.value);
+  }
+}
+
+TEST(Energy, GapsBetweenFramesAreNoPartOfTheirPower) {
+  Machine machine(15);
+  machine.gap_ns = 2 * ms;
+  study(machine, 5 * ms, 100);
+  machine.count("rapl.package-0.energy", 976 * us, ms);
+  for (const EnergyRow& row : machine.price().rows) {
+    ASSERT_TRUE(row.watts_above_idle);
+    const double truth = machine.true_joules(row);
+    EXPECT_NEAR(row.joules_per_frame->value, truth, 0.03 * truth);
+    EXPECT_NEAR(*row.watts_above_idle, truth / 0.005, 0.03 * truth / 0.005);
   }
 }
 

@@ -46,6 +46,19 @@ TEST(Relations, ChannelsThatSayNothingSayWhy) {
               StartsWith("cannot tell: it delivered no sample"));
 }
 
+TEST(Relations, ReadingsWithinAFrameCountBeforeThoseOfTheLastOne) {
+  // Frames of 2.5 ms that draw 10 W and 20 W in turns, read every millisecond.
+  RunBuilder builder;
+  builder.add_trial("m", 0, "A", std::vector<double>(100, 2.5));
+  builder.add_channel("x.power", Quantity::power, Unit::watt, Kind::gauge, ms, 250,
+                      [](std::size_t i) { return i * 2 / 5 % 2 == 0 ? 10.0 : 20.0; });
+  const Analysis analysis = analyze(builder.run);
+  const auto frames = timed_frames(builder.run, analysis.cells);
+  const auto signals = channel_signals(builder.run, frames);
+  for (std::size_t i = 0; i < frames.size(); ++i)
+    EXPECT_EQ(signals[0].value[i], i % 2 == 0 ? 10 : 20) << i;
+}
+
 TEST(Relations, AGaugeThatRepeatsItsValueIsAsSlowAsItsUpdates) {
   RunBuilder builder;
   builder.add_trial("m", 0, "A", std::vector<double>(500, 2.0));

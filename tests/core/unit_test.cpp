@@ -19,6 +19,8 @@ TEST(Unit, EveryNameIsUniqueAndParsesBack) {
     EXPECT_GT(info.to_si, 0.0);
   }
   EXPECT_EQ(parse_unit("furlong"), std::nullopt);
+  // Not those of any sensor here, but other tools write them.
+  for (const std::string_view name : {"J", "s", "GHz"}) EXPECT_TRUE(parse_unit(name)) << name;
 }
 
 TEST(Unit, QuantitiesAndKindsAreThoseOfTheRunFormat) {
