@@ -2,6 +2,9 @@
 //
 //   sys/fs/cgroup/a/b/cpu.stat                 v2: nr_throttled 2, throttled_usec 156161
 //   sys/fs/cgroup/cpu,cpuacct/a/b/cpu.stat     v1: nr_throttled 2, throttled_time 156161000
+//
+// and beside it cpu.max "50000 100000" (v2) or cpu.cfs_quota_us "50000" (v1), where "max" and -1
+// are no quota.
 #include "probe/cgroup.h"
 
 #include <fmt/format.h>
@@ -80,11 +83,21 @@ std::vector<std::string> levels_of(const Root& root, const Membership& member) {
   return levels;
 }
 
+// A quota's stops are told from each other; where there is none, one that is set later is noticed.
+constexpr int64_t with_quota_period_ns = ns_per_ms;
+constexpr int64_t without_quota_period_ns = 10 * ns_per_ms;
+
+// Whether the group says that it has no quota.
+bool is_unlimited(const Root& root, const std::string& group, bool is_v1) {
+  const auto line = root.read_line(group + (is_v1 ? "/cpu.cfs_quota_us" : "/cpu.max"));
+  return line && (is_v1 ? *line == "-1" : line->starts_with("max"));
+}
+
 class CgroupSource final : public SensorSource {
  public:
-  CgroupSource(std::vector<Channel> channels, std::vector<TextFile> files,
+  CgroupSource(int64_t period_ns, std::vector<Channel> channels, std::vector<TextFile> files,
                std::string_view time_key)
-      : SensorSource("cgroup", ns_per_ms, std::move(channels)),
+      : SensorSource("cgroup", period_ns, std::move(channels)),
         files_(std::move(files)),
         time_key_(time_key) {}
 
@@ -149,6 +162,7 @@ void discover_cgroup(const Root& root, Discovery& discovery) {
   std::vector<Channel> channels;
   std::vector<TextFile> files;
   const std::vector<std::string> levels = levels_of(root, *member);
+  bool can_be_stopped = false;
   for (size_t up = 0; up < levels.size(); ++up) {
     const std::string path = levels[up] + "/cpu.stat";
     const std::string text = root.read(path).text.value_or("");
@@ -160,6 +174,7 @@ void discover_cgroup(const Root& root, Discovery& discovery) {
     channels.push_back(quota_channel("cgroup.cpu.throttled_periods" + suffix, Unit::count,
                                      where + ": nr_throttled"));
     files.emplace_back(root, path);
+    can_be_stopped = can_be_stopped || !is_unlimited(root, levels[up], member->is_v1);
   }
   if (files.empty())
     discovery.missing.push_back(
@@ -168,8 +183,9 @@ void discover_cgroup(const Root& root, Discovery& discovery) {
                      root.display(levels.front())),
          ""});
   else
-    discovery.sources.push_back(
-        std::make_unique<CgroupSource>(std::move(channels), std::move(files), time_key));
+    discovery.sources.push_back(std::make_unique<CgroupSource>(
+        can_be_stopped ? with_quota_period_ns : without_quota_period_ns, std::move(channels),
+        std::move(files), time_key));
 }
 
 }  // namespace energyprof::probe

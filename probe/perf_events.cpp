@@ -38,7 +38,8 @@ constexpr std::array software_events{
     NamedEvent{"perf::PERF_COUNT_SW_PAGE_FAULTS_MAJ", "major_faults", Quantity::interference}};
 
 // Reading interrupts every CPU that runs a counted thread, once per event: not at every tick.
-constexpr int64_t perf_period_ns = 10 * ns_per_ms;
+constexpr int64_t perf_period_ns = 20 * ns_per_ms;
+constexpr int64_t per_processor_period_ns = 10 * ns_per_ms;
 
 // Counters of a thread are taken from the hardware and put back at each change of thread. On real
 // machines that takes 1 to 3 us for all of them; in a virtual machine whose host steps in at each
@@ -197,9 +198,10 @@ class Opening {
       ratio.origin = "time_running / time_enabled of " + channels_.front().origin;
       channels_.push_back(std::move(ratio));
     }
-    const auto cpu_count = static_cast<int64_t>(std::max<size_t>(cpus_.size(), 1));
-    discovery.sources.push_back(std::make_unique<PerfSource>(
-        perf_period_ns * cpu_count, std::move(channels_), std::move(events_), are_hardware));
+    const int64_t period_ns =
+        std::max(perf_period_ns, per_processor_period_ns * static_cast<int64_t>(cpus_.size()));
+    discovery.sources.push_back(std::make_unique<PerfSource>(period_ns, std::move(channels_),
+                                                             std::move(events_), are_hardware));
   }
 
  private:

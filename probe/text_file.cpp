@@ -27,7 +27,7 @@ std::string_view trim(std::string_view text) {
 }
 
 constexpr int64_t retry_rarely_ns = ns_per_s;
-constexpr int64_t path_check_ns = 100 * ns_per_ms;
+constexpr int64_t path_check_ns = 50 * ns_per_ms;
 
 }  // namespace
 

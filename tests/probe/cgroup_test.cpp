@@ -57,6 +57,25 @@ TEST(ControlGroup, OfAHybridSystemMayHaveTheControllerInVersionTwo) {
   EXPECT_EQ(poll_all(find(tree.root(), "cgroup"))["cgroup.cpu.throttled"].value, 700);
 }
 
+TEST(ControlGroup, IsReadAThousandTimesASecondOnlyWhereAQuotaCanStopIt) {
+  const auto period_ns = [](const std::string& own_quota, const std::string& quota_above) {
+    const Tree tree{{"proc/self/cgroup", "0::/a/b\n"},
+                    {groups + "a/b/cpu.stat", "nr_throttled 1\nthrottled_usec 700\n"},
+                    {groups + "a/b/cpu.max", own_quota},
+                    {groups + "a/cpu.stat", "nr_throttled 1\nthrottled_usec 700\n"},
+                    {groups + "a/cpu.max", quota_above}};
+    return find(tree.root(), "cgroup").sources.at(0)->period_ns();
+  };
+  EXPECT_EQ(period_ns("max 100000\n", "max 100000\n"), 10'000'000);
+  EXPECT_EQ(period_ns("50000 100000\n", "max 100000\n"), 1'000'000);
+  EXPECT_EQ(period_ns("max 100000\n", "50000 100000\n"), 1'000'000);
+  EXPECT_EQ(period_ns("", "max 100000\n"), 1'000'000) << "not known";
+  const Tree v1{{"proc/self/cgroup", "1:cpu:/job\n"},
+                {groups + "cpu/job/cpu.stat", "nr_throttled 3\nthrottled_time 5000000\n"},
+                {groups + "cpu/job/cpu.cfs_quota_us", "-1\n"}};
+  EXPECT_EQ(find(v1.root(), "cgroup").sources.at(0)->period_ns(), 10'000'000);
+}
+
 TEST(ControlGroup, IsNotFoundThroughALineThatLeadsAstray) {
   const std::string stat = "nr_periods 0\nnr_throttled 0\nthrottled_time 0\n";
   const Tree tree{{groups + "cpuacct/cpu.stat", stat}, {groups + "cpu/cpu.stat", stat}};

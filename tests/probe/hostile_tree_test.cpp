@@ -79,7 +79,7 @@ void replace_files(const Tree& tree, const Content& content, bool keep_links) {
     fs::remove(file);
     fs::create_hard_link(model, file);
   }
-  std::this_thread::sleep_for(std::chrono::milliseconds(12));  // until readers notice
+  std::this_thread::sleep_for(std::chrono::milliseconds(55));  // until readers notice
 }
 
 // Names of channels that give a value.

@@ -62,7 +62,7 @@ class Tree {
   /// Returns when readers of the file notice.
   void remove(const std::string& file) const {
     std::filesystem::remove_all(path_ / file);
-    std::this_thread::sleep_for(std::chrono::milliseconds(12));
+    std::this_thread::sleep_for(std::chrono::milliseconds(55));
   }
 
   static std::filesystem::path machine_dir(std::string_view machine) {
