@@ -159,7 +159,7 @@ class Packed {
   void put(int64_t number) {
     // 0, -1, 1, -2, ... become 0, 1, 2, 3, ...
     uint64_t bits = static_cast<uint64_t>(number) << 1 ^ static_cast<uint64_t>(number >> 63);
-    for (; bits > 127; bits >>= 7) bytes_ += static_cast<char>(bits & 127u | 128u);
+    for (; bits > 127; bits >>= 7) bytes_ += static_cast<char>((bits & 127u) | 128u);
     bytes_ += static_cast<char>(bits);
   }
   [[nodiscard]] const std::string& bytes() const { return bytes_; }

@@ -62,7 +62,8 @@ class Recording {
       start();
     });
     sensors_ = std::make_unique<Sensors>(
-        options.root, config_, probe::Selection{.allow_msr = options.allow_msr, .program = true});
+        options.root, config_,
+        probe::Selection{.sources = {}, .allow_msr = options.allow_msr, .program = true});
     create_run_dir(dir_);
     std::error_code ignored;
     fs::remove(dir_ / "images", ignored);  // there are no frames to picture

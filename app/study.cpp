@@ -70,7 +70,7 @@ class Study {
   Study(const Config& config, const StudyOptions& options)
       : config_(config),
         options_(options),
-        sensors_(options.root, config, {.allow_msr = options.allow_msr}),
+        sensors_(options.root, config, {.sources = {}, .allow_msr = options.allow_msr}),
         structures_({config.structures, config.structure_cache,
                      [this](const std::string& why) { warn("cache", why); }}),
         pictures_(options.out / "images") {}
