@@ -306,6 +306,18 @@ TEST_F(RunDb, ReadsARunOfAnotherTool) {
   EXPECT_EQ(run.frames.at(0).ray_count, std::nullopt);
 }
 
+TEST_F(RunDb, TakesSeveritiesOfAnotherTool) {
+  execute(foreign_run);
+  execute(
+      "INSERT INTO events VALUES(1,NULL,'warn','a',NULL,'x'),(2,NULL,NULL,'b',NULL,NULL),"
+      "(3,NULL,'error','c',NULL,'y');");
+  const RunRecord run = read_run(file());
+  ASSERT_EQ(run.events.size(), 3u);
+  EXPECT_EQ(run.events[0].severity, Severity::warning);
+  EXPECT_EQ(run.events[1].severity, Severity::info);
+  EXPECT_EQ(run.events[2].severity, Severity::error);
+}
+
 TEST_F(RunDb, TakesWhatAnotherToolKnowsOfChannels) {
   execute(foreign_run);
   execute(
