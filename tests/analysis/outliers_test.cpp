@@ -55,6 +55,15 @@ TEST(Outliers, ASpikeIsFound) {
   EXPECT_NEAR(found.trials[0].spread_ratio, 0.02, 0.01);
 }
 
+TEST(Outliers, ASpikeInAShortQuietTrialIsFound) {
+  for (uint64_t seed = 1; seed <= 20; ++seed) {
+    SCOPED_TRACE(seed);
+    auto times_ms = noisy(30, 1, 0.003, seed);
+    times_ms[12] *= 1.33;
+    EXPECT_EQ(search_trial(times_ms).slow.size(), 1u);
+  }
+}
+
 TEST(Outliers, AStretchIsFoundWhole) {
   auto times_ms = noisy(200, 10, 0.02, 2);
   for (std::size_t i = 50; i < 90; ++i) times_ms[i] *= 1.3;
@@ -71,6 +80,18 @@ TEST(Outliers, AreFoundWhenMostOfATrialIsSlow) {
   const auto found = search_trial(times_ms);
   EXPECT_EQ(found.slow.size(), 80u);
   EXPECT_NEAR(found.trials[0].baseline_ms, 10, 0.3);
+}
+
+TEST(Outliers, AreFoundWhenATrialIsThrottledSoonAfterItBegan) {
+  auto times_ms = noisy(100, 10, 0.02, 3);
+  for (std::size_t i = 6; i < 100; ++i) times_ms[i] *= 2;
+  EXPECT_EQ(search_trial(times_ms).slow.size(), 94u);
+}
+
+TEST(Outliers, AFewFramesThatWereSomewhatFasterAreNoRegime) {
+  auto times_ms = noisy(100, 10, 0.02, 3);
+  for (std::size_t i = 0; i < 6; ++i) times_ms[i] *= 0.82;
+  EXPECT_EQ(search_trial(times_ms).slow.size(), 0u);
 }
 
 TEST(Outliers, AreFoundWhenEverySecondFrameIsSlow) {
