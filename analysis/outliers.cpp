@@ -22,6 +22,11 @@ constexpr double min_clear_share = 0.04;
 constexpr double min_clear_count = 5;
 constexpr double entirely_slow_ratio = 1.35;
 constexpr int em_round_count = 12;
+// One long stretch does not make spikes improbable: a slow frame is the last one at least so often.
+constexpr double min_leave = 0.2;
+// Noise is not believed to take a frame much further than this, whatever its tail.
+constexpr double noise_reach_ratio = 1.35;
+constexpr double min_noise_decay = 0.05;
 // Spread that a trial is believed to have before it is seen, and for how many frames that counts.
 constexpr double prior_spread = 0.03;
 constexpr double prior_spread_frames = 4;
@@ -317,6 +322,8 @@ std::vector<double> slow_probability(const Group& group, const Noise& noise) {
     y[i] = group.x[i] - group.base[i];
     // Faster than the baseline is as good as at it: only the upper tail competes with slowness.
     fast_density[i] = noise.density(std::max(y[i], 0.0) / group.scale) / group.scale;
+    const double beyond = y[i] - std::log(noise_reach_ratio);
+    if (beyond > 0) fast_density[i] *= std::exp(-beyond / std::max(group.scale, min_noise_decay));
   }
   SlowDensity slow_density;
   double enter = 0.01;
@@ -368,7 +375,7 @@ std::vector<double> slow_probability(const Group& group, const Noise& noise) {
     }
     // As if 1 entry in 100 fast frames and 2 exits in 5 slow ones had been seen before.
     enter = (entered + 1) / (was_fast + 100);
-    leave = (left + 2) / (was_slow + 5);
+    leave = std::max((left + 2) / (was_slow + 5), min_leave);
     slow_density.learn(y, slow);
   }
   return slow;
