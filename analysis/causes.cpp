@@ -31,6 +31,8 @@ constexpr double strongest = 1000;  // no reading is believed more than this
 constexpr double denial = 0.02;     // a sensor that looked and saw nothing
 // A clock that did not fall: then it cannot have been held down, whatever a flag says.
 constexpr double clock_denial = 0.002;
+constexpr double min_set_share = 0.3;    // of a frame's time in which its reason is set
+constexpr double min_trial_share = 0.8;  // of what a counter's reading is about
 constexpr std::size_t min_trial_reference = 8;
 constexpr std::size_t min_cell_reference = 3;
 constexpr int em_round_count = 30;
@@ -58,6 +60,7 @@ Cause cause_of(std::size_t hypothesis) {
   }
 }
 
+/// What a source speaks for.
 std::optional<std::size_t> hypothesis_of(const ThrottleSource& source) {
   if (source.quota) return quota;
   switch (source.reason) {
@@ -72,9 +75,9 @@ std::optional<std::size_t> hypothesis_of(const ThrottleSource& source) {
     case ThrottleClass::os:
       return other;
     case ThrottleClass::none:
-      // "Throttled" without a reason is a reason for nothing but that; inferred, it is a low clock.
+      // Inferred, it is a low clock, which was looked at already.
       if (source.inferred) return std::nullopt;
-      return other;
+      return low_clock;
   }
   return std::nullopt;
 }
@@ -84,23 +87,36 @@ struct Window {
   int64_t end_ns = 0;
 };
 
-/// Values of normal frames, to ask how unusual one is.
+/// Values of normal frames, to ask how unusual one is. Frames that a slow sensor read together
+/// count as one: a hundred frames within one poll are no hundred witnesses.
 class Tail {
  public:
-  void add(double value) { values_.push_back(value); }
+  explicit Tail(int64_t resolution_ns) : resolution_ns_(resolution_ns) {}
+  void add(const TimedFrame& frame, double value) {
+    values_.push_back(value);
+    const int64_t reading = frame.begin_ns / resolution_ns_;
+    if (reading_count_ == 0 || reading != last_reading_) ++reading_count_;
+    last_reading_ = reading;
+  }
   void sort() { std::sort(values_.begin(), values_.end()); }
   [[nodiscard]] std::size_t count() const { return values_.size(); }
-  /// Share of normal values at least as large, never below half of one of them.
+  /// Share of normal values at least as large, never below half of one reading.
   [[nodiscard]] double at_least(double value) const {
     const auto first = std::lower_bound(values_.begin(), values_.end(), value);
-    return (static_cast<double>(values_.end() - first) + 0.5) /
-           (static_cast<double>(values_.size()) + 1);
+    const auto share = values_.empty() ? 0.0
+                                       : static_cast<double>(values_.end() - first) /
+                                             static_cast<double>(values_.size());
+    const auto count = static_cast<double>(reading_count_);
+    return (share * count + 0.5) / (count + 1);
   }
   [[nodiscard]] double quantile_of(double share) const {
     return values_[static_cast<std::size_t>(share * static_cast<double>(values_.size() - 1))];
   }
 
  private:
+  int64_t resolution_ns_;
+  int64_t last_reading_ = 0;
+  std::size_t reading_count_ = 0;
   std::vector<double> values_;
 };
 
@@ -144,7 +160,8 @@ struct Case {
   const TimedFrame* frame = nullptr;
   const SlowFrame* slow = nullptr;
   Window episode;
-  double excess_s = 0;
+  double excess_s = 0;          // time lost
+  double episode_excess_s = 0;  // by all frames of the episode
   Likelihood likelihood{};
   std::array<bool, hypothesis_count> shown{};              // some reading speaks for it
   bool clock_low = false;                                  // and that explains the time
@@ -194,6 +211,19 @@ class Judge {
       one.likelihood.fill(1);
       cases_.push_back(std::move(one));
     }
+    std::vector<double> lost_s(search.episode_count, 0.0);
+    for (const Case& one : cases_) lost_s[one.slow->episode] += one.excess_s;
+    for (Case& one : cases_) one.episode_excess_s = lost_s[one.slow->episode];
+    std::map<std::size_t, Span> trials;
+    for (const TimedFrame& frame : frames) {
+      Span& trial =
+          trials.try_emplace(frame.trial_index, Span{frame.begin_ns, frame.end_ns}).first->second;
+      trial.begin_ns = std::min(trial.begin_ns, frame.begin_ns);
+      trial.end_ns = std::max(trial.end_ns, frame.end_ns);
+    }
+    std::vector<Span> spans;
+    for (const auto& [index, span] : trials) spans.push_back(span);
+    trials_ = SpanSet(std::move(spans));
     length_.assign(search.episode_count, 0);
     for (const SlowFrame& slow : search.slow) ++length_[slow.episode];
   }
@@ -228,12 +258,12 @@ class Judge {
     for (std::size_t i = 0; i < frames_.size(); ++i)
       values[i] = clock->over(frames_[i].begin_ns, frames_[i].end_ns);
     const Reference reference(frames_, normal_, values);
-    Tail tail;
+    Tail tail(clock->poll_ns());
     std::vector<double> steady;
     for (std::size_t i = 0; i < frames_.size(); ++i)
       if (normal_[i] && values[i]) {
         if (const auto expected = reference.of(frames_[i]))
-          tail.add(std::log(*expected / *values[i]));
+          tail.add(frames_[i], std::log(*expected / *values[i]));
         steady.push_back(*values[i]);
       }
     tail.sort();
@@ -291,10 +321,10 @@ class Judge {
       if (source.known.share(frames_[i].begin_ns, frames_[i].end_ns) >= 0.5)
         stopped_s[i] = source.active.seconds(frames_[i].begin_ns, frames_[i].end_ns);
     const Reference reference(frames_, normal_, stopped_s);
-    Tail tail;
+    Tail tail(source.poll_ns);
     for (std::size_t i = 0; i < frames_.size(); ++i)
       if (normal_[i] && stopped_s[i])
-        tail.add(*stopped_s[i] - reference.of(frames_[i]).value_or(0));
+        tail.add(frames_[i], *stopped_s[i] - reference.of(frames_[i]).value_or(0));
     tail.sort();
     for (std::size_t c = 0; c < cases_.size(); ++c) {
       const Case& one = cases_[c];
@@ -320,18 +350,21 @@ class Judge {
     for (auto& flags : specific) flags.fill(false);
     for (const ThrottleSource& source : throttling_.sources) {
       const auto hypothesis = hypothesis_of(source);
-      if (!hypothesis || source.regime) continue;
+      if (!hypothesis) continue;
       if (source.quota) {
         look_at_quota(source, looks);
         continue;
       }
-      Tail tail;
+      Tail tail(source.poll_ns);
       for (std::size_t i = 0; i < frames_.size(); ++i) {
         const TimedFrame& frame = frames_[i];
         if (normal_[i] && source.known.share(frame.begin_ns, frame.end_ns) > 0.5)
-          tail.add(set_share(source, {frame.begin_ns, frame.end_ns}));
+          tail.add(frame, set_share(source, {frame.begin_ns, frame.end_ns}));
       }
       tail.sort();
+      // How the machine runs; but where most frames are slow, their reason is most of the time,
+      // too.
+      if (source.regime && tail.at_least(min_set_share) > 0.5) continue;
       const Channel& channel = run_.channels[source.channel];
       for (std::size_t c = 0; c < cases_.size(); ++c) {
         Case& one = cases_[c];
@@ -344,14 +377,13 @@ class Judge {
           if (!read) continue;
           share = *read;
         }
-        constexpr double enough = 0.3;
         Look& look = looks[c][*hypothesis];
-        const bool set = share >= enough && share > 0;
+        const bool set = share >= min_set_share;
         double ratio = denial;
         if (set) {
           ratio = ratio_against(tail, share);
           if (source.inferred) ratio = std::min(ratio, 0.9 / source.chance_ratio);
-        } else if (share > 0.1 * enough || !seen_within(one, source)) {
+        } else if (share > 0.1 * min_set_share || !seen_within(one, source)) {
           ratio = 0.5;
         }
         if (set && source.reason != ThrottleClass::none) specific[c][*hypothesis] = true;
@@ -366,19 +398,21 @@ class Judge {
     }
     for (std::size_t c = 0; c < cases_.size(); ++c) {
       Case& one = cases_[c];
+      // "Throttled" and a reason are one statement; where it is neither power nor heat, it is
+      // another.
+      Look& held = looks[c][low_clock];
+      const auto denied = [&](Hypothesis h) { return looks[c][h].best == denial; };
+      if (held.set && (specific[c][power] || specific[c][thermal] || specific[c][other]))
+        held = {};
+      else if (held.set && denied(power) && denied(thermal))
+        looks[c][other] = std::exchange(held, {});
       bool any_set = false;
-      for (const std::size_t h : {power, thermal, other, quota}) {
+      for (const std::size_t h : {power, thermal, other, quota, low_clock}) {
         Look& look = looks[c][h];
         if (look.best == 0) continue;
-        // "Throttled" and a reason are one statement.
-        if (h == other && look.set && !specific[c][other] &&
-            (specific[c][power] || specific[c][thermal])) {
-          look.best = 1;
-          look.set = false;
-        }
         one.weigh(h, look.best);
-        one.shown[h] = look.set && look.best > 1;
-        any_set = any_set || (h != quota && one.shown[h]);
+        one.shown[h] = one.shown[h] || (look.set && look.best > 1);
+        any_set = any_set || (h != quota && h != low_clock && one.shown[h]);
         one.evidence.emplace_back(h, look.evidence);
       }
       // A clock that is low while a reason is set is low for that reason.
@@ -435,6 +469,20 @@ class Judge {
 
   // -------------------------------------------------------------------------- misses, interference
 
+  /// What a channel says of a stretch: the mean of the readings inside; where there are none, what
+  /// was read before; of a counter its rate. nullopt where a slow counter is as much about the idle
+  /// time around a trial.
+  [[nodiscard]] std::optional<double> said_by(const ChannelTrack& track,
+                                              const Window& window) const {
+    if (const auto inside = track.inside(window.begin_ns, window.end_ns)) return inside;
+    const int64_t missing_ns =
+        std::max<int64_t>(track.resolution_ns() - (window.end_ns - window.begin_ns), 0);
+    if (trials_.share(window.begin_ns - missing_ns / 2, window.end_ns + missing_ns / 2) <
+        min_trial_share)
+      return std::nullopt;
+    return track.over(window.begin_ns, window.end_ns);
+  }
+
   /// What the channels of one kind say of a case: the strongest for, else the weakest against.
   struct Looks {
     std::vector<double> best;  // by case; 0: nobody looked
@@ -458,9 +506,11 @@ class Judge {
     }
   };
 
-  [[nodiscard]] double rays_of(const TimedFrame& frame) const {
-    const auto& rays = run_.frames[frame.frame_index].ray_count;
-    return rays && *rays > 0 ? static_cast<double>(*rays) : 1;
+  /// Of ChannelTrack::over().
+  static std::string evidence_unit(const Channel& channel) {
+    if (channel.kind != Kind::cumulative) return std::string(unit_info(channel.unit).si);
+    if (channel.unit == Unit::none) return "count/s";
+    return std::string(unit_info(channel.unit).si) + "/s";
   }
 
   /// Misses per ray must rise, and faster than the time: a counter that also counts what others do
@@ -469,16 +519,16 @@ class Judge {
     const ChannelTrack track(channel, series);
     std::vector<std::optional<double>> rates(frames_.size());
     for (std::size_t i = 0; i < frames_.size(); ++i)
-      rates[i] = track.over(frames_[i].begin_ns, frames_[i].end_ns);
+      rates[i] = said_by(track, {frames_[i].begin_ns, frames_[i].end_ns});
     const Reference reference(frames_, normal_, rates);
     const auto log_ratio = [](double value, double expected) {
       return std::log(std::max(value, 1e-3 * expected) / expected);
     };
-    Tail tail;
+    Tail tail(track.resolution_ns());
     for (std::size_t i = 0; i < frames_.size(); ++i) {
       if (!normal_[i] || !rates[i]) continue;
       const auto expected = reference.of(frames_[i]);
-      if (expected && *expected > 0) tail.add(log_ratio(*rates[i], *expected));
+      if (expected && *expected > 0) tail.add(frames_[i], log_ratio(*rates[i], *expected));
     }
     tail.sort();
     if (tail.count() < min_cell_reference) return;
@@ -486,15 +536,13 @@ class Judge {
     for (std::size_t c = 0; c < cases_.size(); ++c) {
       Case& one = cases_[c];
       const Window window = window_of(one, track.resolution_ns());
-      const auto rate = track.over(window.begin_ns, window.end_ns);
+      const auto rate = said_by(track, window);
       const auto expected = reference.of(*one.frame);
       if (!rate || !expected || *expected <= 0) continue;
       const double rise = log_ratio(*rate, *expected);
       // Per ray: as the frame took `ratio` times as long for its rays.
       const double per_ray = rise + std::log(one.slow->ratio);
-      const std::string unit = channel.unit == Unit::none || unit_info(channel.unit).si == "count"
-                                   ? "count/s"
-                                   : std::string(unit_info(channel.unit).si) + "/s";
+      const std::string unit = evidence_unit(channel);
       const bool is_for = rise > std::max(0.10, 1.5 * usual) && per_ray > 0.26;
       double ratio = 0.5;
       if (is_for)
@@ -505,48 +553,67 @@ class Judge {
     }
   }
 
+  /// The smallest step of a counter, in SI units: a counter of ticks does not move for less.
+  static double quantum_of(const ChannelTrack& track) {
+    double least = 0;
+    for (std::size_t i = 1; i < track.value().size(); ++i) {
+      const double step = track.value()[i] - track.value()[i - 1];
+      if (step > 0 && (least == 0 || step < least)) least = step;
+    }
+    return least;
+  }
+
   void look_at_interference(const Channel& channel, const SampleSeries& series) {
     const ChannelTrack track(channel, series);
-    const bool is_time = unit_info(channel.unit).si == "s" && channel.kind == Kind::cumulative;
+    const bool is_counter = channel.kind == Kind::cumulative;
+    // Time per time: that is the share of the time that others had.
+    const bool is_share = unit_info(channel.unit).si == (is_counter ? "s" : "1") &&
+                          (is_counter || channel.unit != Unit::none);
+    const double quantum_s = is_share && is_counter ? quantum_of(track) : 0;
     std::vector<std::optional<double>> rates(frames_.size());
     for (std::size_t i = 0; i < frames_.size(); ++i)
-      rates[i] = track.over(frames_[i].begin_ns, frames_[i].end_ns);
+      rates[i] = said_by(track, {frames_[i].begin_ns, frames_[i].end_ns});
     const Reference reference(frames_, normal_, rates);
-    Tail tail;
+    Tail tail(track.resolution_ns());
     for (std::size_t i = 0; i < frames_.size(); ++i)
-      if (normal_[i] && rates[i]) tail.add(*rates[i]);
+      if (normal_[i] && rates[i]) tail.add(frames_[i], *rates[i]);
     tail.sort();
     if (tail.count() < min_cell_reference) return;
     const double usual = tail.quantile_of(0.9);
     for (std::size_t c = 0; c < cases_.size(); ++c) {
       Case& one = cases_[c];
-      const Window window = window_of(one, track.resolution_ns());
-      const auto rate = track.over(window.begin_ns, window.end_ns);
+      // What a frame lost may be less than the counter's step: then the whole episode is asked.
+      const bool coarse = one.excess_s < 3 * quantum_s;
+      const Window window = coarse ? one.episode : window_of(one, track.resolution_ns());
+      const auto rate = said_by(track, window);
       if (!rate) continue;
       const double expected = reference.of(*one.frame).value_or(tail.quantile_of(0.5));
       const double length_s = static_cast<double>(window.end_ns - window.begin_ns) * 1e-9;
-      const bool resolved = window.end_ns - window.begin_ns >= track.resolution_ns();
+      const double excess_s = coarse ? one.episode_excess_s : one.excess_s;
+      const bool resolved =
+          window.end_ns - window.begin_ns >= track.resolution_ns() && excess_s >= 2 * quantum_s;
       bool is_for = false;
       double ratio = 0.5;
-      if (is_time) {
+      if (is_share) {
         // Time that others had is time that the frame lost; several CPUs may each lose it.
-        const double lost_ratio = 1 - 1 / one.slow->ratio;
+        const double lost_ratio = coarse ? excess_s / length_s : 1 - 1 / one.slow->ratio;
         const double explained = (*rate - expected) / lost_ratio;
         is_for = explained > 0.3 && *rate > usual;
         if (is_for)
           ratio = ratio_against(tail, *rate);
         else if (resolved && explained < 0.1)
           ratio = 0.1;
-        if (!resolved && (*rate - expected) * length_s < 0.1 * one.excess_s) ratio = 0.5;
+        if (!resolved && (*rate - expected) * length_s < 0.1 * excess_s) ratio = 0.5;
       } else {
-        is_for = *rate > std::max(2 * expected, 1.5 * usual) && *rate - expected > 2 / length_s;
+        is_for = *rate > std::max(2 * expected, 1.5 * usual) &&
+                 (!is_counter || *rate - expected > 2 / length_s);
         // How often says less than for how long.
         if (is_for)
           ratio = std::min(ratio_against(tail, *rate), 50.0);
         else if (resolved)
           ratio = 0.3;
       }
-      const std::string unit = is_time ? "s/s" : "count/s";
+      const std::string unit = evidence_unit(channel);
       interference_looks_.note(cases_.size(), c, ratio, is_for,
                                {channel.name, *rate, expected, unit});
     }
@@ -584,10 +651,10 @@ class Judge {
     }
     if (!any) return;
     const Reference reference(frames_, normal_, values);
-    Tail tail;
+    Tail tail(1);
     for (std::size_t i = 0; i < frames_.size(); ++i)
       if (const auto expected = reference.of(frames_[i]); normal_[i] && values[i] && expected)
-        tail.add(std::log(*values[i] / *expected));
+        tail.add(frames_[i], std::log(*values[i] / *expected));
     tail.sort();
     if (tail.count() < min_cell_reference) return;
     for (std::size_t c = 0; c < cases_.size(); ++c) {
@@ -717,6 +784,7 @@ class Judge {
   std::vector<bool> normal_;
   std::vector<Case> cases_;
   std::optional<DeviceClock> clock_;
+  SpanSet trials_;                   // when timed frames were traced, gaps between them included
   std::vector<std::size_t> length_;  // of episodes, in slow frames
   Looks miss_looks_;
   Looks interference_looks_;

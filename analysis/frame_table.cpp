@@ -54,7 +54,7 @@ ChannelTrack::ChannelTrack(const Channel& channel, const SampleSeries& series)
   std::vector<int64_t> polls;
   polls.reserve(t_ns_.size());
   for (std::size_t i = 1; i < t_ns_.size(); ++i) polls.push_back(t_ns_[i] - t_ns_[i - 1]);
-  poll_ns_ = order_statistic(std::move(polls), 0.5).value_or(channel.period_ns);
+  poll_ns_ = order_statistic(std::move(polls), 0.75).value_or(channel.period_ns);
   poll_ns_ = std::max({poll_ns_, int64_t{1}});
   resolution_ns_ = poll_ns_;
 
@@ -105,6 +105,15 @@ std::optional<double> ChannelTrack::mean_over(int64_t begin_ns, int64_t end_ns) 
   // A difference of large sums: keep rounding from leaving the range that a flag can have.
   const double mean = value_[0] + (end_integral - begin_integral) / covered_s;
   return kind_ == Kind::flag ? std::clamp(mean, 0.0, 1.0) : mean;
+}
+
+std::optional<double> ChannelTrack::inside(int64_t begin_ns, int64_t end_ns) const {
+  if (kind_ == Kind::cumulative) return std::nullopt;
+  const auto first = std::lower_bound(t_ns_.begin(), t_ns_.end(), begin_ns) - t_ns_.begin();
+  const auto last = std::lower_bound(t_ns_.begin() + first, t_ns_.end(), end_ns) - t_ns_.begin();
+  if (first == last) return std::nullopt;
+  return std::accumulate(value_.begin() + first, value_.begin() + last, 0.0) /
+         static_cast<double>(last - first);
 }
 
 double ChannelTrack::counter_at(int64_t t_ns) const {

@@ -48,6 +48,10 @@ class ChannelTrack {
   /// nullopt where no reading says anything about the stretch.
   [[nodiscard]] std::optional<double> over(int64_t begin_ns, int64_t end_ns) const;
 
+  /// The mean of the readings in [begin_ns, end_ns) of a channel that is no counter: what was seen
+  /// there, and nothing of what was seen before. nullopt where there are none.
+  [[nodiscard]] std::optional<double> inside(int64_t begin_ns, int64_t end_ns) const;
+
   /// How much a cumulative channel rose during [begin_ns, end_ns), in SI units, interpolated but
   /// not widened; nullopt for other kinds and where over() is.
   [[nodiscard]] std::optional<double> increase(int64_t begin_ns, int64_t end_ns) const;
@@ -55,7 +59,9 @@ class ChannelTrack {
   /// Readings in [begin_ns, end_ns).
   [[nodiscard]] std::size_t sample_count(int64_t begin_ns, int64_t end_ns) const;
 
-  /// Median time between two readings; the period asked for where there are fewer than two.
+  /// Time between two readings: what three quarters of them are not longer than, so that readings
+  /// in pairs (at the begin and the end of each frame) count by the longer of their two distances.
+  /// The period asked for where there are fewer than two.
   [[nodiscard]] int64_t poll_ns() const { return poll_ns_; }
   /// The shortest stretch the channel tells anything about: one poll or one update of the sensor,
   /// whichever is longer. Of a counter that moves at every n-th poll only, the update is what 90 %

@@ -16,19 +16,32 @@ namespace {
 
 constexpr std::size_t min_group_frames = 5;
 constexpr double min_fast_share = 0.10;
+// Frames this much faster than the rest are a regime of their own, also if they are fewer.
+constexpr double clear_gap_ratio = 1.3;
+constexpr double min_clear_share = 0.04;
+constexpr double min_clear_count = 5;
 constexpr double entirely_slow_ratio = 1.35;
 constexpr int em_round_count = 12;
+// One long stretch does not make spikes improbable: a slow frame is the last one at least so often.
+constexpr double min_leave = 0.2;
+// Noise is not believed to take a frame much further than this, whatever its tail.
+constexpr double noise_reach_ratio = 1.35;
+constexpr double min_noise_decay = 0.05;
 // Spread that a trial is believed to have before it is seen, and for how many frames that counts.
 constexpr double prior_spread = 0.03;
 constexpr double prior_spread_frames = 4;
 constexpr double min_spread = 0.003;
+// From so many frames on a trial's own spread is good enough to learn the tail of the noise from.
+constexpr std::size_t min_learning_frames = 20;
+constexpr double least_seen_spread = 1e-4;
 
 /// Frames that are judged together: a trial, or a cell whose trials are too short.
 struct Group {
   std::vector<std::size_t> frames;  // into the span, by time
   std::vector<double> x;            // logarithm of their times
   std::vector<double> base;         // logarithm of the baseline at each
-  double scale = prior_spread;      // robust standard deviation of the fast regime
+  double scale = prior_spread;      // robust standard deviation of the fast regime, as believed
+  double seen_scale = 0;            // the same from its frames alone
   bool entirely_slow = false;
 };
 
@@ -124,28 +137,38 @@ std::vector<Mode> find_modes(const std::vector<double>& sorted, double bandwidth
   return modes;
 }
 
-/// Robust standard deviation of the wider side of `deviations`, a few frames' worth of prior_spread
-/// mixed in: ten frames that happen to be alike do not prove that there is no noise.
-double spread_of(const std::vector<double>& deviations) {
+struct Spread {
+  double believed = prior_spread;
+  double seen = 0;
+};
+
+/// Robust standard deviation of the wider side of `deviations`: as seen, and as believed with a few
+/// frames' worth of prior_spread mixed in. Ten frames that happen to be alike do not prove that
+/// there is no noise.
+Spread spread_of(const std::vector<double>& deviations) {
+  Spread result{min_spread, least_seen_spread};
   std::vector<double> below;
   std::vector<double> above;
   for (const double d : deviations) (d < 0 ? below : above).push_back(std::abs(d));
-  const auto shrunk = [](const std::vector<double>& side) {
-    if (side.empty()) return prior_spread;
-    const double seen = robust_scale(side);
+  for (const std::vector<double>& side : {below, above}) {
+    const double seen = side.empty() ? 0 : robust_scale(side);
     const auto count = static_cast<double>(side.size());
-    return std::sqrt((count * seen * seen + prior_spread_frames * prior_spread * prior_spread) /
-                     (count + prior_spread_frames));
-  };
-  return std::max({shrunk(below), shrunk(above), min_spread});
+    const double believed =
+        std::sqrt((count * seen * seen + prior_spread_frames * prior_spread * prior_spread) /
+                  (count + prior_spread_frames));
+    result.believed = std::max(result.believed, believed);
+    result.seen = std::max(result.seen, seen);
+  }
+  return result;
 }
 
 struct Level {
   double centre = 0;
-  double scale = 0;
+  Spread spread;
 };
 
-/// Centre and spread of the fast regime: the lowest mode with a tenth of the frames.
+/// Centre and spread of the fast regime: the lowest mode with a tenth of the frames, or with fewer
+/// where the next one is clearly apart.
 Level fast_level(const std::vector<double>& x) {
   std::vector<double> sorted = x;
   std::sort(sorted.begin(), sorted.end());
@@ -156,8 +179,15 @@ Level fast_level(const std::vector<double>& x) {
   const std::vector<Mode> modes = find_modes(sorted, bandwidth);
   const double needed = std::max(std::min(3.0, static_cast<double>(x.size()) / 2),
                                  min_fast_share * static_cast<double>(x.size()));
-  const auto found = std::find_if(modes.begin(), modes.end(),
-                                  [&](const Mode& mode) { return mode.count >= needed; });
+  const double needed_if_clear =
+      std::max(min_clear_count, min_clear_share * static_cast<double>(x.size()));
+  auto found = modes.begin();
+  for (; found != modes.end(); ++found) {
+    if (found->count >= needed) break;
+    const bool is_clear =
+        found + 1 != modes.end() && (found + 1)->peak - found->peak >= std::log(clear_gap_ratio);
+    if (is_clear && found->count >= needed_if_clear) break;
+  }
   const Mode mode = found != modes.end()
                         ? *found
                         : Mode{quantile(sorted, 0.25), 0, sorted.front(), sorted.back(), 0};
@@ -170,7 +200,7 @@ Level fast_level(const std::vector<double>& x) {
   std::vector<double> deviations;
   for (const double value : sorted)
     if (value >= mode.begin && value <= mode.end) deviations.push_back(value - level.centre);
-  level.scale = spread_of(deviations);
+  level.spread = spread_of(deviations);
   return level;
 }
 
@@ -292,6 +322,8 @@ std::vector<double> slow_probability(const Group& group, const Noise& noise) {
     y[i] = group.x[i] - group.base[i];
     // Faster than the baseline is as good as at it: only the upper tail competes with slowness.
     fast_density[i] = noise.density(std::max(y[i], 0.0) / group.scale) / group.scale;
+    const double beyond = y[i] - std::log(noise_reach_ratio);
+    if (beyond > 0) fast_density[i] *= std::exp(-beyond / std::max(group.scale, min_noise_decay));
   }
   SlowDensity slow_density;
   double enter = 0.01;
@@ -343,7 +375,7 @@ std::vector<double> slow_probability(const Group& group, const Noise& noise) {
     }
     // As if 1 entry in 100 fast frames and 2 exits in 5 slow ones had been seen before.
     enter = (entered + 1) / (was_fast + 100);
-    leave = (left + 2) / (was_slow + 5);
+    leave = std::max((left + 2) / (was_slow + 5), min_leave);
     slow_density.learn(y, slow);
   }
   return slow;
@@ -382,7 +414,9 @@ void follow_drift(Group& group, const std::vector<double>& slow) {
   }
   std::vector<double> deviations;
   for (const std::size_t i : fast) deviations.push_back(group.x[i] - group.base[i]);
-  group.scale = spread_of(deviations);
+  const Spread spread = spread_of(deviations);
+  group.scale = spread.believed;
+  group.seen_scale = spread.seen;
 }
 
 // ---------------------------------------------------------------------------- putting together
@@ -418,7 +452,8 @@ void set_baseline(Group& group) {
   for (std::size_t i = 0; i < level.size(); ++i)
     level[i] -= drift * (static_cast<double>(i) - middle);
   const Level fast = fast_level(level);
-  group.scale = fast.scale;
+  group.scale = fast.spread.believed;
+  group.seen_scale = fast.spread.seen;
   for (std::size_t i = 0; i < level.size(); ++i)
     group.base.push_back(fast.centre + drift * (static_cast<double>(i) - middle));
 }
@@ -436,6 +471,7 @@ void compare_trials(std::vector<Group>& groups, std::span<const TimedFrame> fram
     if (centre(group) - centre(best) < std::log(entirely_slow_ratio)) continue;
     group.entirely_slow = true;
     group.scale = best.scale;
+    group.seen_scale = best.seen_scale;
   }
   for (Group& group : groups)
     if (group.entirely_slow) {
@@ -458,13 +494,20 @@ OutlierSearch find_slow_frames(std::span<const TimedFrame> frames) {
   compare_trials(groups, frames);
 
   Noise noise;
+  const bool any_long = std::any_of(groups.begin(), groups.end(), [](const Group& group) {
+    return group.x.size() >= min_learning_frames;
+  });
   const auto learn = [&](const std::vector<std::vector<double>>& slow) {
     std::vector<std::pair<double, double>> deviations;
     for (std::size_t g = 0; g < groups.size(); ++g) {
       const Group& group = groups[g];
-      const double cut = std::log(1.2) / group.scale;
+      if (any_long && group.x.size() < min_learning_frames) continue;
+      // Measured by what a quiet trial is believed to spread, all its frames would be near the
+      // centre, as those of a noise with the heaviest tail are.
+      const double unit = any_long ? group.seen_scale : group.scale;
+      const double cut = std::log(1.2) / unit;
       for (std::size_t i = 0; i < group.x.size(); ++i) {
-        const double z = (group.x[i] - group.base[i]) / group.scale;
+        const double z = (group.x[i] - group.base[i]) / unit;
         if (z > 0 && z < cut && (slow.empty() || slow[g][i] < 0.5)) deviations.emplace_back(z, cut);
       }
     }

@@ -56,7 +56,7 @@ struct OutlierSearch {
 /// them.
 ///
 /// Logarithms of frame times are taken as a hidden Markov chain of two states: fast, around the
-/// lowest mode of the trial that holds a tenth of its frames, with Student-t noise whose tail is
+/// lowest mode of the trial with enough frames (docs/method.md), with Student-t noise whose tail is
 /// learned from all trials; and slow, anything from min_outlier_ratio up. Change points are changes
 /// of state. A slow drift moves the baseline and makes no outlier. A trial whose fast regime is
 /// more than 1.35 times that of the cell's fastest trial is slow as a whole. With fewer than 5

@@ -5,6 +5,7 @@
 #include <cctype>
 #include <cmath>
 #include <nlohmann/json.hpp>
+#include <span>
 #include <string>
 
 #include "analysis/series.h"
@@ -128,6 +129,143 @@ bool is_frequency_clamp(const Channel& channel) {
   return name.starts_with("devfreq.") || name.starts_with("cpufreq.");
 }
 
+// ---------------------------------------------------------------------------- words of bits
+
+/// Bits of a word that a driver gives instead of a flag for each reason.
+struct ReasonBits {
+  uint64_t bits = 0;
+  ThrottleClass reason = ThrottleClass::none;
+};
+
+/// `last` - `first` + 1 bits set, from `first` on.
+constexpr uint64_t bit_range(int first, int last) {
+  return ((uint64_t{1} << (last - first + 1)) - 1) << first;
+}
+
+// nvml.h, nvmlClocksEventReason*. Idle (1), application clocks (2), sync boost (0x10) and display
+// (0x100) hold nothing back.
+constexpr std::array nvml_bits{
+    ReasonBits{0x4, ThrottleClass::power_sustained}, ReasonBits{0x60, ThrottleClass::thermal},
+    ReasonBits{0x80, ThrottleClass::external}, ReasonBits{0x8, ThrottleClass::none}};
+// amdgpu_smu.h, SMU_THROTTLER_*: indep_throttle_status. The hotspot's bit, 36, says nothing.
+constexpr std::array amd_bits{
+    ReasonBits{bit_range(0, 4) | bit_range(6, 7) | bit_range(56, 56),
+               ThrottleClass::power_sustained},
+    ReasonBits{bit_range(5, 5), ThrottleClass::power_burst},
+    ReasonBits{bit_range(21, 23), ThrottleClass::power_peak},
+    ReasonBits{bit_range(32, 35) | bit_range(37, 37) | bit_range(42, 43), ThrottleClass::thermal},
+    ReasonBits{bit_range(16, 20) | bit_range(38, 41) | bit_range(44, 45), ThrottleClass::vr},
+    ReasonBits{bit_range(46, 47), ThrottleClass::external}};
+// throttle_status of APUs from Renoir on.
+constexpr std::array amd_apu_bits{
+    ReasonBits{bit_range(0, 0) | bit_range(2, 3), ThrottleClass::power_sustained},
+    ReasonBits{bit_range(1, 1), ThrottleClass::power_burst},
+    ReasonBits{bit_range(11, 12), ThrottleClass::power_peak},
+    ReasonBits{bit_range(4, 6), ThrottleClass::thermal},
+    ReasonBits{bit_range(7, 8), ThrottleClass::vr},
+    ReasonBits{bit_range(9, 10), ThrottleClass::external}};
+// Limit reasons of Intel's GPUs and cores: register 0x1381a8, MSR 0x64f, 0x6b0.
+constexpr std::array intel_bits{
+    ReasonBits{bit_range(10, 10), ThrottleClass::power_sustained},
+    ReasonBits{bit_range(11, 11), ThrottleClass::power_burst},
+    ReasonBits{bit_range(8, 8), ThrottleClass::power_peak},
+    ReasonBits{bit_range(1, 1) | bit_range(5, 5), ThrottleClass::thermal},
+    ReasonBits{bit_range(6, 7), ThrottleClass::vr},
+    ReasonBits{bit_range(0, 0), ThrottleClass::external}};
+// get_throttled of the Raspberry Pi; from 16 on what has happened since boot.
+constexpr std::array raspberry_bits{ReasonBits{0x1, ThrottleClass::external},
+                                    ReasonBits{0x8, ThrottleClass::thermal},
+                                    ReasonBits{0x6, ThrottleClass::none}};
+
+/// A reading as the word that it is; 0 for what is none.
+uint64_t word_at(double value) {
+  return value >= 1 && value < 0x1p63 ? static_cast<uint64_t>(value) : 0;
+}
+
+/// What the bits of a throttle channel mean, if its values are words of bits: its name gives no
+/// single reason, and says "reasons" or "mask", or some value is more than a flag can be. Empty for
+/// flags, counters, states, and drivers whose bits are not known.
+std::span<const ReasonBits> bits_of(const Channel& channel, const SampleSeries& series) {
+  if (channel.quantity != Quantity::throttle || channel.kind == Kind::cumulative ||
+      throttle_class(channel) != ThrottleClass::none)
+    return {};
+  const std::string name = normalized(channel.name);
+  const double highest = *std::max_element(series.value.begin(), series.value.end());
+  if (!has(name, "reasons") && !has(name, "mask") && !(highest > 1)) return {};
+  if (name.ends_with("alarm") || word_begins(name, {"count", "state", "level"})) return {};
+  const std::string driver = name + "." + normalized(channel.source);
+  if (has(driver, "nvml") || has(driver, "nvidia")) return nvml_bits;
+  if (has(driver, "amdgpu")) {
+    const bool apu = !has(name, "indep") && highest < 0x1p13;
+    return apu ? std::span<const ReasonBits>(amd_apu_bits) : amd_bits;
+  }
+  if (has(driver, "i915") || has(driver, "xe") || has(driver, "msr")) return intel_bits;
+  if (has(driver, "rpi") || has(driver, "raspberry") || has(driver, "get_throttled"))
+    return raspberry_bits;
+  return {};
+}
+
+// ---------------------------------------------------------------------------- clocks
+
+/// All words of a name.
+std::vector<std::string> words_of(const std::string& normalized_name) {
+  std::vector<std::string> words;
+  for (const std::string& part : split(normalized_name, '.'))
+    for (std::string& word : split(part, '_')) words.push_back(std::move(word));
+  return words;
+}
+
+bool any_of_words(const std::vector<std::string>& words,
+                  std::initializer_list<std::string_view> wanted) {
+  return std::any_of(words.begin(), words.end(), [&](const std::string& word) {
+    return std::find(wanted.begin(), wanted.end(), word) != wanted.end();
+  });
+}
+
+enum class ClockRole : uint8_t {
+  gpu,        ///< a clock that something runs at; the GPU's unless the name says otherwise
+  cpu,        ///< a processor's
+  requested,  ///< what was asked for
+  other,      ///< a bound, or the clock of memory, display, video, ...
+};
+
+/// Another clock beside `name` (all but the last part is the same) says that it is the actual one.
+bool has_actual_beside(const RunRecord& run, const std::string& name) {
+  const std::string beside = name.substr(0, name.rfind('.') + 1);
+  return std::any_of(run.channels.begin(), run.channels.end(), [&](const Channel& channel) {
+    if (channel.quantity != Quantity::frequency) return false;
+    const std::string other = normalized(channel.name);
+    return other != name && other.starts_with(beside) &&
+           any_of_words(words_of(other), {"act", "actual"});
+  });
+}
+
+ClockRole role_of(const RunRecord& run, const Channel& channel) {
+  const std::string name = normalized(channel.name);
+  const std::vector<std::string> words = words_of(name);
+  // i915 and xe call the clock that is asked for the current one; devfreq and cpufreq mean it.
+  const bool is_intel_gpu = any_of_words(words, {"i915", "xe"});
+  if (has(name, "request") || has(name, "target") || any_of_words(words, {"req", "punit"}) ||
+      (any_of_words(words, {"cur"}) && (is_intel_gpu || has_actual_beside(run, name))))
+    return ClockRole::requested;
+  if (any_of_words(words, {"mem",   "memory",  "mclk",   "uclk", "fclk",    "soc",   "socclk",
+                           "video", "media",   "dclk",   "vclk", "display", "ring",  "uncore",
+                           "dram",  "ddr",     "fabric", "min",  "max",     "limit", "base",
+                           "boost", "default", "rpe",    "rpa",  "rpn",     "rp0",   "rp1"}) ||
+      has(name, "video") || has(name, "media"))
+    return ClockRole::other;
+  // gt1 of Intel's GPUs is for video where there is a gt0.
+  if (is_intel_gpu && any_of_words(words, {"gt1"}) &&
+      std::any_of(run.channels.begin(), run.channels.end(), [](const Channel& one) {
+        return one.quantity == Quantity::frequency &&
+               any_of_words(words_of(normalized(one.name)), {"gt0"});
+      }))
+    return ClockRole::other;
+  const bool of_cpu =
+      name.starts_with("cpu") || has(name, ".cpu") || has(name, "core_clk") || has(name, "coreclk");
+  return of_cpu ? ClockRole::cpu : ClockRole::gpu;
+}
+
 double seconds_of(int64_t duration_ns) { return static_cast<double>(duration_ns) * 1e-9; }
 
 const SampleSeries* series_of(const RunRecord& run, const Channel& channel) {
@@ -232,7 +370,10 @@ void spans_of_counter(const Channel& channel, const ChannelTrack& track, bool qu
     cpu_count = stopped_cpu_count(rises);
     own_stops_s = lengths_of_own_stops(rises, track.poll_ns());
   }
-  const bool is_time = unit_info(channel.unit).si == "s";
+  // More time than there was is in a unit that only its name has in common: a firmware's ticks.
+  const double all_s = seconds_of(track.t_ns().back() - track.t_ns().front());
+  const bool is_time = unit_info(channel.unit).si == "s" &&
+                       (quota || track.value().back() - track.value().front() <= all_s);
   std::vector<Span> active;
   for (std::size_t i = 0; i < rises.size(); ++i) {
     const Rise& rise = rises[i];
@@ -403,9 +544,8 @@ void infer_throttling(const RunRecord& run, std::span<const TimedFrame> frames,
   const ChannelTrack& track = clock->tracks.front();
   std::optional<ChannelTrack> requested;
   for (const Channel& channel : run.channels) {
-    if (channel.quantity != Quantity::frequency) continue;
-    const std::string name = normalized(channel.name);
-    if (!has(name, "request") && !name.ends_with(".cur_freq") && !has(name, "target")) continue;
+    if (channel.quantity != Quantity::frequency || role_of(run, channel) != ClockRole::requested)
+      continue;
     if (const auto* series = series_of(run, channel)) requested.emplace(channel, *series);
   }
 
@@ -560,7 +700,9 @@ std::optional<double> DeviceClock::over(int64_t begin_ns, int64_t end_ns) const 
   double sum = 0;
   std::size_t count = 0;
   for (std::size_t i = 0; i < tracks.size(); ++i) {
-    const auto hz = tracks[i].over(begin_ns, end_ns);
+    // A reading at the end of a frame is about that frame, not about the next.
+    auto hz = tracks[i].inside(begin_ns, end_ns);
+    if (!hz) hz = tracks[i].over(begin_ns, end_ns);
     if (!hz || *hz <= 0) continue;
     sum += *hz / steady_hz[i];
     ++count;
@@ -581,18 +723,9 @@ std::optional<DeviceClock> device_clock(const RunRecord& run, std::span<const Ti
   for (std::size_t c = 0; c < run.channels.size(); ++c) {
     const Channel& channel = run.channels[c];
     if (channel.quantity != Quantity::frequency || series_of(run, channel) == nullptr) continue;
-    const std::string name = normalized(channel.name);
-    // Clocks of something else, and clocks that are wished for rather than run at.
-    if (word_is(name, {"mem", "memory", "mclk", "uclk", "fclk", "soc", "video", "media", "min",
-                       "max", "limit", "base", "boost"}) ||
-        has(name, ".mem") || has(name, ".soc") || has(name, ".fclk") || has(name, ".uclk") ||
-        has(name, "video") || has(name, "media") || has(name, "request") || has(name, "target") ||
-        has(name, ".max") || has(name, ".min") || has(name, "limit") || has(name, ".rp") ||
-        name.ends_with(".cur_freq"))
-      continue;
-    const bool of_cpu = name.starts_with("cpu") || has(name, ".cpu") || has(name, "core_clk") ||
-                        has(name, "coreclk");
-    (of_cpu ? cpu : gpu).push_back(c);
+    const ClockRole role = role_of(run, channel);
+    if (role == ClockRole::cpu) cpu.push_back(c);
+    if (role == ClockRole::gpu) gpu.push_back(c);
   }
   const DeviceKind kind = device_kind(run);
   if (gpu.empty() && kind == DeviceKind::gpu) return std::nullopt;
@@ -627,11 +760,37 @@ Throttling find_throttling(const RunRecord& run, std::span<const TimedFrame> fra
   for (const Channel& channel : run.channels)
     if (is_quota(channel) && unit_info(channel.unit).si == "s" && series_of(run, channel))
       has_quota_time = true;
+  const auto add = [&](ThrottleSource source) {
+    add_exposure(frames, source);
+    // That something held the clock back is no reason, and the system's own have nothing to do with
+    // those of the hardware.
+    if (source.reason != ThrottleClass::os && source.reason != ThrottleClass::none)
+      throttling.has_reason_channel = true;
+    throttling.sources.push_back(std::move(source));
+  };
   for (std::size_t c = 0; c < run.channels.size(); ++c) {
     const Channel& channel = run.channels[c];
     const auto reason = throttle_class(channel);
     const auto* series = series_of(run, channel);
     if (!reason || series == nullptr) continue;
+    const auto bits = bits_of(channel, *series);
+    if (!bits.empty()) {
+      // The word itself, not whether it is 0.
+      Channel word = channel;
+      word.kind = Kind::gauge;
+      word.unit = Unit::none;
+      const ChannelTrack track(word, *series);
+      for (const ReasonBits& one : bits) {
+        const auto is_set = [&](double value) { return (word_at(value) & one.bits) != 0; };
+        ThrottleSource source;
+        source.channel = c;
+        source.reason = one.reason;
+        source.poll_ns = track.poll_ns();
+        spans_of_level(track, is_set, source);
+        add(std::move(source));
+      }
+      continue;
+    }
     ThrottleSource source;
     source.channel = c;
     source.reason = *reason;
@@ -655,9 +814,7 @@ Throttling find_throttling(const RunRecord& run, std::span<const TimedFrame> fra
       spans_of_level(
           track, [&](double value) { return value > std::max(lowest, 0.0); }, source);
     }
-    add_exposure(frames, source);
-    if (source.reason != ThrottleClass::os) throttling.has_reason_channel = true;
-    throttling.sources.push_back(std::move(source));
+    add(std::move(source));
   }
   if (!throttling.has_reason_channel) infer_throttling(run, frames, throttling);
   return throttling;

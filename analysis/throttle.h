@@ -96,7 +96,8 @@ struct DeviceClock {
   std::vector<std::size_t> channels;  ///< into RunRecord::channels; the first names it
   std::vector<ChannelTrack> tracks;
   std::vector<double> steady_hz;  ///< by track
-  /// Mean ratio over [begin_ns, end_ns); nullopt where no channel says anything.
+  /// Mean ratio over [begin_ns, end_ns): of the readings inside, or, where there are none, of those
+  /// that stand there. nullopt where no channel says anything.
   [[nodiscard]] std::optional<double> over(int64_t begin_ns, int64_t end_ns) const;
   [[nodiscard]] std::size_t sample_count(int64_t begin_ns, int64_t end_ns) const;
   [[nodiscard]] int64_t poll_ns() const;

@@ -47,15 +47,27 @@ enum class Unit : uint8_t {
   centicelsius,
   celsius,
   millivolt,
+  volt,
   milliampere,
+  ampere,
   nanosecond,
   microsecond,
   millisecond,
   second,
   clock_tick,  ///< USER_HZ, 1/100 s on Linux
   byte,
+  kilobyte,
+  megabyte,
+  gigabyte,
+  kibibyte,
+  mebibyte,
+  gibibyte,
   byte_per_second,
+  kilobyte_per_second,
   megabyte_per_second,
+  gigabyte_per_second,
+  mebibyte_per_second,
+  gibibyte_per_second,
   count,
   percent,
   permille,
@@ -72,7 +84,9 @@ struct UnitInfo {
 
 /// Symbol and factor of `unit`.
 const UnitInfo& unit_info(Unit unit);
-/// The unit whose stored name is `name`; nullopt for a name this version does not know.
+/// The unit whose stored name is `name`, or that other tools call so: "bytes", "degC", "jiffies",
+/// "usec", with or without a micro sign. Case counts in symbols (mW, MW). nullopt for a name this
+/// version does not know.
 std::optional<Unit> parse_unit(std::string_view name);
 
 std::string_view to_string(Quantity quantity);

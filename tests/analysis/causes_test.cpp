@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 
@@ -112,6 +113,20 @@ TEST(Cause, IsNotAReasonThatIsAlwaysSet) {
     EXPECT_EQ(outlier.attribution.cause, Cause::unexplained);
 }
 
+TEST(Cause, IsAReasonThatIsSetInNearlyAllOfTheTimeAsMostFramesAreSlow) {
+  // 60 fast frames, then 140 of five times the time: the flag is set for 92 % of the time.
+  RunBuilder builder;
+  std::vector<double> times_ms(200, 50.0);
+  for (std::size_t i = 0; i < 60; ++i) times_ms[i] = 10 + 0.1 * static_cast<double>(i % 3);
+  builder.add_trial("m", 0, "A", times_ms);
+  builder.add_channel("i915.gt0.throttle.pl1", Quantity::throttle, Unit::none, Kind::flag, ms, 7600,
+                      [](std::size_t i) { return i >= 606 ? 1.0 : 0.0; });
+  const auto outliers = analyze(builder.run).outliers;
+  ASSERT_EQ(outliers.size(), 140u);
+  for (const Outlier& outlier : outliers)
+    EXPECT_EQ(outlier.attribution.cause, Cause::throttle_power);
+}
+
 TEST(Cause, OfALowClockWithoutAReasonIsUnexplainedWithTheClockAsEvidence) {
   OneStretch stretch(20);
   stretch.level("i915.gt0.act_freq", Quantity::frequency, Unit::megahertz, Kind::gauge, 650, 1300);
@@ -149,6 +164,73 @@ TEST(Cause, IsStolenTime) {
   OneStretch stretch(20);
   stretch.counter("proc.stat.steal", Quantity::interference, Unit::clock_tick, 0.05, 0);
   stretch.expect(Cause::interference, "proc.stat.steal");
+}
+
+TEST(Cause, IsStolenTimeThatIsCountedInTicksOfMoreThanAFrame) {
+  // 20 ms instead of 10 for ten frames, of which the machine had 4 ms each: a tick of 10 ms appears
+  // in every other frame only.
+  OneStretch stretch(14);
+  stretch.builder.add_channel("proc.stat.steal", Quantity::interference, Unit::clock_tick,
+                              Kind::cumulative, ms, stretch.count, [&](std::size_t i) {
+                                const std::size_t slow_ms =
+                                    std::clamp(i, stretch.begin, stretch.end) - stretch.begin;
+                                return std::floor(static_cast<double>(slow_ms) * 4 / 14 / 10);
+                              });
+  stretch.expect(Cause::interference, "proc.stat.steal");
+}
+
+TEST(Cause, IsNotASensorThatReadTheWholeTrialAtOnce) {
+  // A counter polled every 1.5 s: its second reading is about the stretch and what is around it.
+  OneStretch stretch(20);
+  stretch.builder.add_channel("perf.llc_misses", Quantity::cache_miss, Unit::count,
+                              Kind::cumulative, 700 * ms, 5, [](std::size_t i) {
+                                return i <= 1 ? 1e6 * static_cast<double>(i)
+                                              : 1e6 + 1.6e6 * static_cast<double>(i - 1);
+                              });
+  for (const Outlier& outlier : stretch.outliers())
+    EXPECT_EQ(outlier.attribution.cause, Cause::unexplained);
+}
+
+TEST(Cause, IsNotACounterThatIsSlowerThanTheTrialsAreLong) {
+  // 40 trials of 50 ms with 50 ms between them; slow frames at their ends. Misses go with the time
+  // that is traced, and are read every 100 ms.
+  RunBuilder builder;
+  std::vector<double> traced_ms;  // of each ms of the run
+  for (int64_t trial = 0; trial < 40; ++trial) {
+    std::vector<double> times_ms(20, 2.0);
+    for (std::size_t i = 15; i < 20; ++i) times_ms[i] = 4;
+    builder.add_trial("m", 0, "A", times_ms);
+    traced_ms.insert(traced_ms.end(), 50, 1);
+    traced_ms.insert(traced_ms.end(), 50, 0);
+    builder.now_ns += 50 * ms;
+  }
+  double total = 0;
+  std::size_t read = 0;
+  builder.add_channel("perf.llc_misses", Quantity::cache_miss, Unit::count, Kind::cumulative,
+                      97 * ms, 42, [&](std::size_t i) {
+                        for (; read < std::min(i * 97, traced_ms.size()); ++read)
+                          total += 1000 * traced_ms[read];
+                        return total;
+                      });
+  for (const Outlier& outlier : analyze(builder.run).outliers)
+    EXPECT_EQ(outlier.attribution.cause, Cause::unexplained);
+}
+
+TEST(Cause, OfThrottlingWithoutAReasonIsUnexplained) {
+  OneStretch stretch(20);
+  stretch.level("i915.gt0.act_freq", Quantity::frequency, Unit::megahertz, Kind::gauge, 650, 1300);
+  stretch.level("i915.gt0.throttle.status", Quantity::throttle, Unit::none, Kind::flag, 1, 0);
+  for (const Outlier& outlier : stretch.outliers())
+    EXPECT_EQ(outlier.attribution.cause, Cause::unexplained) << "power, heat or something else";
+}
+
+TEST(Cause, OfThrottlingThatIsNeitherPowerNorHeatIsAnother) {
+  OneStretch stretch(20);
+  stretch.level("i915.gt0.act_freq", Quantity::frequency, Unit::megahertz, Kind::gauge, 650, 1300);
+  stretch.level("i915.gt0.throttle.status", Quantity::throttle, Unit::none, Kind::flag, 1, 0);
+  stretch.level("i915.gt0.throttle.pl1", Quantity::throttle, Unit::none, Kind::flag, 0, 0);
+  stretch.level("i915.gt0.throttle.thermal", Quantity::throttle, Unit::none, Kind::flag, 0, 0);
+  stretch.expect(Cause::throttle_other, "i915.gt0.act_freq");
 }
 
 TEST(Cause, IsMissesThatRoseFasterThanTime) {

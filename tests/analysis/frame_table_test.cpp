@@ -54,6 +54,29 @@ TEST(FrameTable, AReadingIsStaleAfterThreePolls) {
   EXPECT_FALSE(track.over(40 * ms, 41 * ms));
 }
 
+TEST(FrameTable, ReadingsInPairsStandUntilTheNextPair) {
+  // Read at the begin and at the end of frames of 10 ms: between the two is no silence.
+  SampleSeries series;
+  for (int64_t i = 0; i < 10; ++i)
+    for (const int64_t t_ns : {i * 10 * ms + 1, i * 10 * ms + 10 * ms - 1}) {
+      series.t_ns.push_back(t_ns);
+      series.value.push_back(1);
+    }
+  const ChannelTrack track(channel(Kind::flag, Unit::none), series);
+  EXPECT_NEAR(static_cast<double>(track.poll_ns()), 10.0 * ms, 10);
+  EXPECT_TRUE(track.over(54 * ms, 55 * ms));
+}
+
+TEST(FrameTable, ReadingsInsideKnowNothingOfThoseBefore) {
+  const ChannelTrack track(channel(Kind::gauge, Unit::megahertz),
+                           {{0, 10 * ms, 20 * ms}, {100, 200, 400}});
+  EXPECT_NEAR(*track.inside(5 * ms, 11 * ms), 200e6, 1);
+  EXPECT_NEAR(*track.inside(5 * ms, 21 * ms), 300e6, 1);
+  EXPECT_FALSE(track.inside(11 * ms, 20 * ms));
+  EXPECT_FALSE(
+      ChannelTrack(channel(Kind::cumulative, Unit::count), {{0, 10 * ms}, {1, 2}}).inside(0, ms));
+}
+
 TEST(FrameTable, AFlagIsTheShareOfTimeItWasSet) {
   const ChannelTrack track(channel(Kind::flag, Unit::none),
                            {{0, 1 * ms, 2 * ms, 3 * ms}, {0, 4, 0, 0}});

@@ -55,6 +55,15 @@ TEST(Outliers, ASpikeIsFound) {
   EXPECT_NEAR(found.trials[0].spread_ratio, 0.02, 0.01);
 }
 
+TEST(Outliers, ASpikeInAShortQuietTrialIsFound) {
+  for (uint64_t seed = 1; seed <= 20; ++seed) {
+    SCOPED_TRACE(seed);
+    auto times_ms = noisy(30, 1, 0.003, seed);
+    times_ms[12] *= 1.33;
+    EXPECT_EQ(search_trial(times_ms).slow.size(), 1u);
+  }
+}
+
 TEST(Outliers, AStretchIsFoundWhole) {
   auto times_ms = noisy(200, 10, 0.02, 2);
   for (std::size_t i = 50; i < 90; ++i) times_ms[i] *= 1.3;
@@ -71,6 +80,33 @@ TEST(Outliers, AreFoundWhenMostOfATrialIsSlow) {
   const auto found = search_trial(times_ms);
   EXPECT_EQ(found.slow.size(), 80u);
   EXPECT_NEAR(found.trials[0].baseline_ms, 10, 0.3);
+}
+
+TEST(Outliers, SpikesBesideALongStretchAreFound) {
+  // Skewed noise, of which heavy tails are learned.
+  std::mt19937_64 random(1);
+  std::gamma_distribution<double> gamma(4);
+  std::vector<double> times_ms(275);
+  for (double& time_ms : times_ms) time_ms = 3 * (1 + 0.025 * (gamma(random) - 4));
+  for (std::size_t i = 90; i < 275; ++i) times_ms[i] *= 2;
+  times_ms[30] *= 3.5;
+  times_ms[50] *= 3;
+  const auto found = places(search_trial(times_ms));
+  EXPECT_TRUE(std::binary_search(found.begin(), found.end(), 30u));
+  EXPECT_TRUE(std::binary_search(found.begin(), found.end(), 50u));
+  EXPECT_NEAR(static_cast<double>(found.size()), 187, 1);
+}
+
+TEST(Outliers, AreFoundWhenATrialIsThrottledSoonAfterItBegan) {
+  auto times_ms = noisy(100, 10, 0.02, 3);
+  for (std::size_t i = 6; i < 100; ++i) times_ms[i] *= 2;
+  EXPECT_EQ(search_trial(times_ms).slow.size(), 94u);
+}
+
+TEST(Outliers, AFewFramesThatWereSomewhatFasterAreNoRegime) {
+  auto times_ms = noisy(100, 10, 0.02, 3);
+  for (std::size_t i = 0; i < 6; ++i) times_ms[i] *= 0.82;
+  EXPECT_EQ(search_trial(times_ms).slow.size(), 0u);
 }
 
 TEST(Outliers, AreFoundWhenEverySecondFrameIsSlow) {

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <string>
 #include <utility>
 #include <vector>
@@ -199,12 +200,70 @@ TEST(Throttling, TimeCountedWhileItPassesIsWhereItPassed) {
   EXPECT_EQ(found.sources[0].active.spans()[0].end_ns, begin_ns + 4000 * ms);
 }
 
+TEST(Throttling, TicksOfAFirmwareAreNoTime) {
+  // 1000 ticks in each 10 ms from 3 s to 4 s, and from 6 s to 7 s.
+  RunBuilder builder = steady_run();
+  builder.add_channel("amdgpu.throttle_residency.fppt", Quantity::throttle, Unit::clock_tick,
+                      Kind::cumulative, 10 * ms, 1000, [](std::size_t i) {
+                        return 1e3 * static_cast<double>(std::clamp<std::size_t>(i, 300, 400) +
+                                                         std::clamp<std::size_t>(i, 600, 700));
+                      });
+  EXPECT_NEAR(throttling_of(builder.run).sources.at(0).exposure_ratio, 0.2, 0.01);
+}
+
 TEST(Throttling, ACoolingDeviceAboveItsLowestStateThrottles) {
   RunBuilder builder = steady_run();
   builder.add_channel("thermal.cooling.Processor.state", Quantity::throttle, Unit::count,
                       Kind::gauge, 100 * ms, 100,
                       [](std::size_t i) { return i >= 50 && i < 60 ? 3.0 : 0.0; });
   EXPECT_NEAR(throttling_of(builder.run).sources.at(0).exposure_ratio, 0.1, 0.01);
+}
+
+/// For how much of ten seconds each reason was set, by a channel that reads `during` from 2 s to 4
+/// s.
+std::map<ThrottleClass, double> reasons_of(const std::string& name, Kind kind, double otherwise,
+                                           double during) {
+  RunBuilder builder = steady_run();
+  builder.add_channel(name, Quantity::throttle, Unit::none, kind, 10 * ms, 1000,
+                      [=](std::size_t i) { return i >= 200 && i < 400 ? during : otherwise; });
+  std::map<ThrottleClass, double> set_s;
+  for (const ThrottleSource& source : throttling_of(builder.run).sources)
+    for (const Span& span : source.active.spans())
+      set_s[source.reason] += 1e-9 * static_cast<double>(span.end_ns - span.begin_ns);
+  return set_s;
+}
+
+TEST(Throttling, AWordOfBitsGivesTheReasonOfEachBit) {
+  using enum ThrottleClass;
+  struct Case {
+    std::string name;
+    double otherwise, during;
+    ThrottleClass reason;
+  };
+  for (const Case& one : {Case{"nvml.gpu0.throttle_reasons", 0x1, 0x4, power_sustained},
+                          {"nvml.gpu0.clocks_event_reasons", 0x2, 0x20, thermal},
+                          {"nvml.gpu0.throttle", 0x0, 0x80, external},
+                          {"amdgpu.indep_throttle_status", 0x1p36, 0x1p36 + 0x20, power_burst},
+                          {"amdgpu.indep_throttle_status", 0x1p36, 0x1p36 + 0x1p33, thermal},
+                          {"amdgpu.throttle_status", 0, 0x80, vr},
+                          {"i915.gt0.throttle_reasons", 0, 0x400, power_sustained},
+                          {"rpi.get_throttled", 0x50000, 0x50008, thermal}})
+    for (const Kind kind : {Kind::gauge, Kind::flag}) {
+      SCOPED_TRACE(one.name);
+      const auto set_s = reasons_of(one.name, kind, one.otherwise, one.during);
+      ASSERT_EQ(set_s.size(), 1u) << "and nothing but that";
+      EXPECT_EQ(to_string(set_s.begin()->first), to_string(one.reason));
+      EXPECT_NEAR(set_s.begin()->second, 2, 1e-9);
+    }
+}
+
+TEST(Throttling, AFlagIsNoWordOfBits) {
+  using enum ThrottleClass;
+  EXPECT_EQ(reasons_of("nvml.gpu0.throttle.sw_power_cap", Kind::flag, 0, 4).count(power_sustained),
+            1u);
+  EXPECT_EQ(reasons_of("i915.gt0.throttle.status", Kind::flag, 0, 1).count(none), 1u);
+  EXPECT_EQ(reasons_of("gpu.throttle_reasons", Kind::gauge, 0, 4).count(none), 1u)
+      << "bits of a driver that is not known";
 }
 
 /// steady_run() with a clock that falls to half from 3 s to 5 s.
@@ -258,12 +317,59 @@ TEST(Throttling, IsNotInferredWhereReasonsAreRecorded) {
   EXPECT_FALSE(found.sources[0].inferred);
 }
 
+TEST(Throttling, IsInferredWhereAllThatIsRecordedIsThatItThrottled) {
+  RunBuilder builder = slow_clock_run();
+  builder.add_channel("i915.gt0.throttle.status", Quantity::throttle, Unit::none, Kind::flag,
+                      10 * ms, 1000, [](std::size_t i) { return i >= 300 && i < 500 ? 1.0 : 0.0; });
+  const Throttling found = throttling_of(builder.run);
+  EXPECT_FALSE(found.has_reason_channel);
+  ASSERT_EQ(found.sources.size(), 2u);
+  EXPECT_TRUE(found.sources[1].inferred);
+}
+
+TEST(Throttling, OfDevfreqIsInferredFromItsClockAndItsTarget) {
+  RunBuilder builder = steady_run();
+  builder.add_channel("devfreq.fb000000.gpu.cur_freq", Quantity::frequency, Unit::hertz,
+                      Kind::gauge, 10 * ms, 1000,
+                      [](std::size_t i) { return i >= 300 && i < 500 ? 3e8 : 8e8; });
+  builder.add_channel("devfreq.fb000000.gpu.target_freq", Quantity::frequency, Unit::hertz,
+                      Kind::gauge, 10 * ms, 1000, [](std::size_t) { return 8e8; });
+  const Throttling found = throttling_of(builder.run);
+  ASSERT_EQ(found.sources.size(), 1u);
+  EXPECT_NEAR(found.sources[0].exposure_ratio, 0.2, 0.01);
+}
+
 TEST(Throttling, AClockThatWasNotAskedForMoreIsNotThrottled) {
   RunBuilder builder = slow_clock_run();
   builder.add_channel("i915.gt0.requested_freq", Quantity::frequency, Unit::megahertz, Kind::gauge,
                       10 * ms, 1000,
                       [](std::size_t i) { return i >= 300 && i < 500 ? 650.0 : 1300.0; });
   EXPECT_TRUE(throttling_of(builder.run).sources.empty());
+}
+
+TEST(DeviceClock, IsNotThatOfVideoOrMemory) {
+  RunBuilder builder = slow_clock_run();
+  for (const char* name : {"i915.gt1.act_freq", "hwmon.amdgpu.mclk.freq", "nvml.gpu0.clock.mem",
+                           "nvml.gpu0.max_clock", "uncore.package-0.freq"})
+    builder.add_channel(name, Quantity::frequency, Unit::megahertz, Kind::gauge, 10 * ms, 1000,
+                        [](std::size_t) { return 1300.0; });
+  const Analysis analysis = analyze(builder.run);
+  const auto clock = device_clock(builder.run, timed_frames(builder.run, analysis.cells));
+  ASSERT_TRUE(clock);
+  EXPECT_EQ(clock->channels, std::vector<std::size_t>{0});
+}
+
+TEST(DeviceClock, ReadAtTheEndOfAFrameIsThatOfTheFrame) {
+  RunBuilder builder = steady_run();
+  Channel& channel =
+      builder.add_channel("gpu.clock", Quantity::frequency, Unit::megahertz, Kind::gauge, 10 * ms,
+                          1000, [](std::size_t i) { return i == 500 ? 650.0 : 1300.0; });
+  for (int64_t& t_ns : builder.run.series[channel.id].t_ns) t_ns += 10 * ms - 1;
+  const Analysis analysis = analyze(builder.run);
+  const auto clock = device_clock(builder.run, timed_frames(builder.run, analysis.cells));
+  ASSERT_TRUE(clock);
+  EXPECT_NEAR(*clock->over(begin_ns + 5000 * ms, begin_ns + 5010 * ms), 0.5, 1e-12);
+  EXPECT_NEAR(*clock->over(begin_ns + 5010 * ms, begin_ns + 5020 * ms), 1, 1e-12);
 }
 
 TEST(DeviceClock, PrefersTheGpuAndLeavesOutSleepAndWishes) {

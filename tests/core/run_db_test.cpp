@@ -315,6 +315,18 @@ TEST_F(RunDb, SortsSamplesThatWereStoredInAnyOrder) {
   EXPECT_EQ(run.series.at(2).value, (std::vector<double>{1, 2, 3}));
 }
 
+TEST_F(RunDb, TakesSeveritiesOfAnotherTool) {
+  execute(foreign_run);
+  execute(
+      "INSERT INTO events VALUES(1,NULL,'warn','a',NULL,'x'),(2,NULL,NULL,'b',NULL,NULL),"
+      "(3,NULL,'error','c',NULL,'y');");
+  const RunRecord run = read_run(file());
+  ASSERT_EQ(run.events.size(), 3u);
+  EXPECT_EQ(run.events[0].severity, Severity::warning);
+  EXPECT_EQ(run.events[1].severity, Severity::info);
+  EXPECT_EQ(run.events[2].severity, Severity::error);
+}
+
 TEST_F(RunDb, TakesWhatAnotherToolKnowsOfChannels) {
   execute(foreign_run);
   execute(
