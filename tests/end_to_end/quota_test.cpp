@@ -28,8 +28,8 @@ class HalfCpu {
   /// Empty when the group could be made, else why not.
   std::string make() {
     std::string reasons;
-    for (const char* mount :
-         {"/sys/fs/cgroup/cpu", "/sys/fs/cgroup/cpu,cpuacct", "/sys/fs/cgroup"}) {
+    for (const char* mount : {"/sys/fs/cgroup/cpu", "/sys/fs/cgroup/cpu,cpuacct",
+                              "/sys/fs/cgroup/unified", "/sys/fs/cgroup"}) {
       const fs::path dir = fs::path(mount) / fmt::format("energyprof_test_{}", getpid());
       const std::string reason = make_in(dir);
       if (reason.empty()) {
