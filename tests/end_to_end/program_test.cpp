@@ -881,14 +881,15 @@ INSTANTIATE_TEST_SUITE_P(
             {"--set", "sampler.sources=[\"rapl\"]"},
             "CONFIG: /sampler/sources/0: 'rapl' is not a source; expected perf_rapl, "
             "powercap, msr, i915, i915_pmu, xe, xe_pmu, amdgpu, nvml, hwmon, thermal, cpufreq, "
-            "thermal_throttle, devfreq, v3d, raspberrypi, battery, proc_stat, psi, cgroup, schedstat, perf, "
+            "thermal_throttle, devfreq, v3d, raspberrypi, battery, proc_stat, psi, cgroup, "
+            "schedstat, perf, "
             "uncore"},
         BadConfig{"period_of_an_unknown_source",
                   {"--set", "sampler.periods_ms={\"rapl\":10}"},
                   "CONFIG: /sampler/periods_ms: 'rapl' is not a source; expected perf_rapl, "
                   "powercap, msr, i915, i915_pmu, xe, xe_pmu, amdgpu, nvml, hwmon, thermal, "
                   "cpufreq, thermal_throttle, devfreq, v3d, raspberrypi, battery, proc_stat, psi, "
-                  "cgroup, perf, uncore"},
+                  "cgroup, schedstat, perf, uncore"},
         BadConfig{"period_of_nothing",
                   {"--set", "sampler.periods_ms.hwmon=0"},
                   "CONFIG: /sampler/periods_ms/hwmon: 0 is not allowed; expected a number from 0.1 "
