@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+#include <tbb/parallel_invoke.h>
 
 #include <algorithm>
 #include <map>
@@ -458,18 +459,33 @@ DeviceType device_type(const RunFacts& facts) {
 /// factors.
 void add_relations(const RunRecord& run, Analysis& analysis) {
   const std::vector<TimedFrame> frames = timed_frames(run, analysis.cells);
-  EnergyReport report = price_energy(run, analysis.cells, frames, device_type(analysis.run));
-  analysis.energy = std::move(report.rows);
-  analysis.energy_by_channel = std::move(report.by_channel);
-  for (std::string& warning : report.warnings) analysis.warnings.push_back(std::move(warning));
-
   std::set<std::size_t> slow;
   for (const Outlier& outlier : analysis.outliers) slow.insert(outlier.frame_index);
   std::vector<bool> is_outlier;
   for (const TimedFrame& frame : frames) is_outlier.push_back(slow.contains(frame.frame_index));
-  const std::vector<ChannelSignal> signals = channel_signals(run, frames);
-  Correlations found =
-      correlate(frames, is_outlier, throttled_frames(analysis.throttling, frames), signals);
+
+  // None of these needs another.
+  std::vector<std::string> ranking_warnings;
+  std::vector<std::string> sensor_warnings;
+  EnergyReport report;
+  std::vector<ChannelSignal> signals;
+  Correlations found;
+  tbb::parallel_invoke(
+      [&] { analysis.ranking = rank(analysis.cells, analysis.score, ranking_warnings); },
+      [&] {
+        analysis.sensors = summarize_sensors(run, !is_cpu_device(analysis.run), sensor_warnings);
+        analysis.sampler.self_check = self_check(run, analysis.sensors);
+      },
+      [&] { report = price_energy(run, analysis.cells, frames, device_type(analysis.run)); },
+      [&] {
+        signals = channel_signals(run, frames);
+        found =
+            correlate(frames, is_outlier, throttled_frames(analysis.throttling, frames), signals);
+      });
+  for (const auto* warnings : {&ranking_warnings, &sensor_warnings, &report.warnings})
+    analysis.warnings.insert(analysis.warnings.end(), warnings->begin(), warnings->end());
+  analysis.energy = std::move(report.rows);
+  analysis.energy_by_channel = std::move(report.by_channel);
   analysis.correlations = std::move(found.rows);
   analysis.coincidence = std::move(found.coincidence);
   analysis.factors =
@@ -563,13 +579,9 @@ Analysis analyze_frames(const RunRecord& run) {
 
 Analysis analyze(const RunRecord& run) {
   Analysis analysis = analyze_frames(run);
-  std::vector<std::string>& warnings = analysis.warnings;
-  analysis.ranking = rank(analysis.cells, analysis.score, warnings);
   analysis.structures = list_structures(run);
-  analysis.sensors = summarize_sensors(run, !is_cpu_device(analysis.run), warnings);
-  analysis.sampler.self_check = self_check(run, analysis.sensors);
-  warn_about_sampler(analysis.sampler, warnings);
   add_relations(run, analysis);
+  warn_about_sampler(analysis.sampler, analysis.warnings);
   analysis.headline = headline(analysis);
   return analysis;
 }

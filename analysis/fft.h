@@ -30,10 +30,9 @@ class CircularCorrelator {
 
  private:
   using Complex = std::complex<double>;
-  void transform(std::vector<Complex>& values, bool inverse) const;
 
   std::size_t length_;         // n
-  std::vector<Complex> turn_;  // exp(-2 pi i k / N), k < N / 2
+  std::vector<Complex> turn_;  // by level: [half + k] is exp(-pi i k / half), k < half
   std::vector<Complex> spectrum_;
 };
 
