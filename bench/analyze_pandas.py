@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
 """What a notebook with pandas and SciPy takes for the statistics of `energyprof analyze`.
 
-    analyze_pandas.py RUN.sqlite [--against REPORT.json]
+    analyze_pandas.py RUN.sqlite [--plain] [--against REPORT.json]
 
 Aligns every channel to the timed frames, then: Spearman on ranks within cells without trends, p by
 circular shifts of the whole run, the best of 17 lags, bootstrap intervals over blocks, Benjamini-Hochberg, Fisher's
 test of outliers x throttled frames, energy by windows and above idle. Prints the seconds of each step. With
---against it also compares its Spearman coefficients with those of a report.
+--against it also compares its Spearman coefficients with those of a report. Shifts go through an FFT and the
+bootstrap through sums of blocks, as somebody writes it who has to wait for it; with --plain 10,000 shifts are made
+one by one and frames drawn anew for each replicate, as it is written first.
 
 Simpler than energyprof where that does not matter for the time: no partial correlations, no causes, one throttle
 series, no regression of energy. Runs of fewer than 10,000 frames have fewer shifts here.
@@ -23,6 +25,7 @@ from scipy import fft, stats
 
 LAG_COUNT = 8
 REPLICATE_COUNT = 200
+PLAIN_SHIFT_COUNT = 10_000
 TOLERANCE = 0.005  # of a coefficient: ranks and trends are the same, gaps and rounding are treated differently
 TO_SI = {"nJ": 1e-9, "uJ": 1e-6, "mJ": 1e-3, "J": 1.0}
 
@@ -147,6 +150,25 @@ def bootstrap(x, y, random):
     return np.quantile(xy / np.sqrt(xx * yy), [0.025, 0.975])
 
 
+def plain_shift_p(x, y, trial_length, random):
+    """What shift_p gives without lag, from 10,000 shifts made one by one."""
+    near = max(len(y) // 50, 2 * trial_length)
+    seen = abs(x @ y)
+    reached = sum(abs(x @ np.roll(y, shift)) >= seen for shift in random.integers(near, len(y) - near, PLAIN_SHIFT_COUNT))
+    return (1 + reached) / (1 + PLAIN_SHIFT_COUNT)
+
+
+def plain_bootstrap(x, y, random):
+    """What bootstrap gives, every replicate drawn frame by frame."""
+    n = len(x)
+    block = int(np.ceil(n ** (1 / 3)))
+    replicates = []
+    for _ in range(REPLICATE_COUNT):
+        drawn = (random.integers(0, n - block, n // block)[:, None] + np.arange(block)).ravel()
+        replicates.append(np.corrcoef(x[drawn], y[drawn])[0, 1])
+    return np.quantile(replicates, [0.025, 0.975])
+
+
 def energy(frames, trials, channel, series):
     """Net joules per frame by algorithm: counter differences over the timed frames of each trial, above idle."""
     total = unwrapped(channel, series) * TO_SI[channel.unit]
@@ -167,6 +189,7 @@ def energy(frames, trials, channel, series):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("run")
+    parser.add_argument("--plain", action="store_true")
     parser.add_argument("--against", metavar="REPORT.json")
     arguments = parser.parse_args()
     clock = Clock()
@@ -189,8 +212,12 @@ def main():
         size = np.sqrt((times @ times) * (y @ y))
         if size == 0:
             continue
-        p, p_lagged, lag = shift_p(spectrum, y, trial_length)
-        low, high = bootstrap(times, y, random)
+        if arguments.plain:
+            p, p_lagged, lag = plain_shift_p(times, y, trial_length, random), np.nan, 0
+            low, high = plain_bootstrap(times, y, random)
+        else:
+            p, p_lagged, lag = shift_p(spectrum, y, trial_length)
+            low, high = bootstrap(times, y, random)
         rows.append((name, times @ y / size, low, high, lag, p, p_lagged))
     table = pd.DataFrame(rows, columns=["channel", "rho", "low", "high", "lag_frames", "p", "p_lagged"])
     clock.step("shifts and bootstrap")
