@@ -94,8 +94,8 @@ struct Discovery {
 
 /// Which sources to look for, and how.
 struct Selection {
-  std::vector<std::string> sources;                ///< names as of source_names(); empty: all
-  bool allow_msr = false;                          ///< read /dev/cpu/*/msr
+  std::vector<std::string> sources;  ///< names as of source_names(); empty: all
+  bool allow_msr = false;            ///< read /dev/cpu/*/msr
   bool program = false;  ///< another program is measured: what tells of this process is left out
   std::string nvml_library = "libnvidia-ml.so.1";  ///< a name for dlopen(), or a path
 };
