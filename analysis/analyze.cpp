@@ -520,10 +520,15 @@ std::string command_headline(const Analysis& analysis) {
     return std::find_if(rows.begin(), rows.end(),
                         [&](const Reading& row) { return row.quantity == quantity; });
   };
-  for (const Quantity quantity : {Quantity::energy, Quantity::temperature, Quantity::throttle})
+  // Where nothing counts energy, power tells most of it.
+  const bool has_energy = first(Quantity::energy) != rows.end();
+  const bool has_power = first(Quantity::power) != rows.end();
+  for (const Quantity quantity :
+       {has_energy ? Quantity::energy : Quantity::power, Quantity::temperature, Quantity::throttle})
     if (const auto row = first(quantity); row != rows.end())
       text += fmt::format("; {}: {}", row->channel, row->text);
-  if (first(Quantity::energy) == rows.end()) text += "; no energy can be sensed here";
+  if (!has_energy)
+    text += has_power ? "; no counter of energy is here" : "; no energy can be sensed here";
   return text + '.';
 }
 

@@ -464,6 +464,17 @@ TEST(Analyze, ARecordedProgramIsSummedUpByItsSensors) {
   EXPECT_TRUE(analysis.warnings.empty());
 }
 
+TEST(Analyze, ARecordedProgramIsSummedUpByPowerWhereNothingCountsEnergy) {
+  RunBuilder builder;
+  builder.run.meta["command"] = "x";
+  builder.run.meta["command_exit_code"] = "0";
+  builder.add_channel("hwmon.ina3221.vdd_in.power", Quantity::power, Unit::milliwatt, Kind::gauge,
+                      1'000'000, 11, [](std::size_t) { return 5000.0; });
+  const std::string headline = analyze(builder.run).headline;
+  EXPECT_THAT(headline, HasSubstr("hwmon.ina3221.vdd_in.power: always 5.00 W"));
+  EXPECT_THAT(headline, HasSubstr("no counter of energy is here"));
+}
+
 TEST(Analyze, ASensorThatWentAwaySaysSo) {
   RunBuilder builder;
   builder.add_channel("x.temp", Quantity::temperature, Unit::celsius, Kind::gauge, 1'000'000, 5,
