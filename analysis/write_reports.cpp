@@ -2,7 +2,6 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
-#include <tbb/parallel_invoke.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -128,25 +127,15 @@ std::vector<fs::path> write_reports(const RunRecord& run, const Analysis& analys
   const std::vector<ReportImage> images = read_images(directory / "images");
   std::vector<std::string> image_files;
   for (const ReportImage& image : images) image_files.push_back(image_file(image.title));
-  tbb::parallel_invoke([&] { export_timeline(run, timeline_file, timeline, &analysis); },
-                       [&] {
-                         write_file(json_file, [&](std::ostream& out) {
-                           using nlohmann::json;
-                           out << report_json(run, analysis, image_files)
-                                      .dump(2, ' ', false, json::error_handler_t::replace)
-                               << '\n';
-                         });
-                       },
-                       [&] {
-                         write_file(md_file, [&](std::ostream& out) {
-                           out << report_md(run, analysis, image_files);
-                         });
-                       },
-                       [&] {
-                         write_file(html_file, [&](std::ostream& out) {
-                           out << report_html(run, analysis, images);
-                         });
-                       });
+  export_timeline(run, timeline_file, timeline, &analysis);
+  write_file(json_file, [&](std::ostream& out) {
+    using nlohmann::json;
+    out << report_json(run, analysis, image_files)
+               .dump(2, ' ', false, json::error_handler_t::replace)
+        << '\n';
+  });
+  write_file(md_file, [&](std::ostream& out) { out << report_md(run, analysis, image_files); });
+  write_file(html_file, [&](std::ostream& out) { out << report_html(run, analysis, images); });
   return {timeline_file, json_file, md_file, html_file};
 }
 

@@ -10,6 +10,7 @@
 
 #include "analysis/analyze_frames.h"
 #include "planted_run.h"
+#include "tests/sanitized.h"
 
 namespace energyprof::analysis {
 namespace {
@@ -259,6 +260,7 @@ RunRecord restless_run(std::size_t frame_count, std::size_t channel_count,
 }
 
 TEST(Timeline, OfAHugeRunStaysBelowAMillionEventsAndKeepsOutliers) {
+  if (test::is_sanitized) GTEST_SKIP() << "takes minutes, and the next test runs the same code";
   const RunRecord run = restless_run(100'000, 40, 125'000);
   const Analysis analysis = analyze_frames(run);
   ASSERT_GT(analysis.outliers.size(), 9'000u);
