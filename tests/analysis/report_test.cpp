@@ -459,7 +459,8 @@ TEST(Reports, SayWhatDecidedOnACause) {
 TEST(Reports, CountRatesHaveNoMilli) {
   RunBuilder builder;
   builder.add_channel("x.faults", Quantity::interference, Unit::count, Kind::cumulative,
-                      1'000'000'000, 601, [](std::size_t i) { return std::floor(i / 100.0); });
+                      1'000'000'000, 601,
+                      [](std::size_t i) { return std::floor(static_cast<double>(i) / 100.0); });
   builder.add_channel("x.misses", Quantity::cache_miss, Unit::count, Kind::cumulative,
                       1'000'000'000, 601,
                       [](std::size_t i) { return 5e6 * static_cast<double>(i); });
