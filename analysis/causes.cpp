@@ -39,6 +39,11 @@ constexpr int em_round_count = 30;
 /// What it takes to name the reason that low clocks usually have in a run, where none was read.
 constexpr double min_habit_confidence = 0.97;
 constexpr std::ptrdiff_t max_reading_count = 32;
+/// A group that uses up its quota is stopped once in each period, which is 100 ms long unless
+/// somebody set another (Documentation/scheduler/sched-bwc.rst of Linux).
+constexpr int64_t quota_period_ns = 100'000'000;
+/// About a frame: what others used is counted in ticks, too coarse for less.
+constexpr int64_t company_ns = 1'000'000'000;
 
 Cause cause_of(std::size_t hypothesis) {
   switch (hypothesis) {
@@ -163,8 +168,9 @@ struct Case {
   double excess_s = 0;          // time lost
   double episode_excess_s = 0;  // by all frames of the episode
   Likelihood likelihood{};
-  std::array<bool, hypothesis_count> shown{};              // some reading speaks for it
-  bool clock_low = false;                                  // and that explains the time
+  std::array<bool, hypothesis_count> shown{};  // some reading speaks for it
+  bool clock_low = false;                      // and that explains the time
+  bool off_processor = false;  // others had the processors for the time that was lost
   std::vector<std::pair<std::size_t, Evidence>> evidence;  // by hypothesis
 
   /// Multiplies the likelihood of a hypothesis.
@@ -230,6 +236,7 @@ class Judge {
 
   std::vector<Attribution> judge() {
     look_at_clock();
+    look_after_stops();
     look_at_throttling();
     for (const Channel& channel : run_.channels) {
       const auto series = run_.series.find(channel.id);
@@ -308,10 +315,68 @@ class Judge {
   /// What the source that says most has to say of a case and a hypothesis.
   struct Look {
     double best = 0;  // likelihood ratio; 0: no source looked
-    Evidence evidence;
+    std::vector<Evidence> evidence;
     bool set = false;
   };
   using LooksByHypothesis = std::array<Look, hypothesis_count>;
+
+  /// Threads that a quota lets go on may all be put on one processor: then they wait for each other
+  /// while others idle, which no counter of stops tells. Sensed as own waiting, soon after a stop,
+  /// that nobody else's work accounts for.
+  void look_after_stops() {
+    after_stops_.resize(cases_.size());
+    const auto wait = counter_called("process.cpu_wait");
+    const auto own = counter_called("process.cpu_time");
+    const auto busy = counter_called("proc.stat.busy");
+    if (!wait || !own || !busy) return;
+    std::vector<std::optional<double>> waits(frames_.size());
+    for (std::size_t i = 0; i < frames_.size(); ++i)
+      waits[i] = said_by(*wait, {frames_[i].begin_ns, frames_[i].end_ns});
+    const Reference reference(frames_, normal_, waits);
+    Tail tail(wait->resolution_ns());
+    for (std::size_t i = 0; i < frames_.size(); ++i)
+      if (normal_[i] && waits[i]) tail.add(frames_[i], *waits[i]);
+    tail.sort();
+    if (tail.count() < min_cell_reference) return;
+    for (std::size_t c = 0; c < cases_.size(); ++c) {
+      const Case& one = cases_[c];
+      const TimedFrame& frame = *one.frame;
+      const auto& rate = waits[one.slow->frame];
+      const Window around{frame.begin_ns - company_ns / 2, frame.end_ns + company_ns / 2};
+      const auto all_s = busy->over(around.begin_ns, around.end_ns);
+      const auto own_s = own->over(around.begin_ns, around.end_ns);
+      const auto stop = stop_before(frame);
+      if (!rate || !all_s || !own_s || !stop) continue;
+      const double expected = reference.of(frame).value_or(tail.quantile_of(0.5));
+      const double length_s = frame.ms * 1e-3;
+      const double waited_s = (*rate - expected) * length_s;
+      if (waited_s < 0.5 * one.excess_s || (*all_s - *own_s) * length_s > 0.5 * waited_s) continue;
+      after_stops_[c] = Look{
+          ratio_against(tail, *rate), {{"process.cpu_wait", *rate, expected, "s/s"}, *stop}, true};
+    }
+  }
+
+  /// What a quota stopped of the period before a frame, if it did.
+  [[nodiscard]] std::optional<Evidence> stop_before(const TimedFrame& frame) const {
+    for (const ThrottleSource& source : throttling_.sources) {
+      if (!source.quota) continue;
+      const double stopped_s =
+          source.active.seconds(frame.begin_ns - quota_period_ns, frame.begin_ns);
+      if (stopped_s > 0)
+        return Evidence{run_.channels[source.channel].name, stopped_s, std::nullopt, "s"};
+    }
+    return std::nullopt;
+  }
+
+  [[nodiscard]] std::optional<ChannelTrack> counter_called(std::string_view name) const {
+    for (const Channel& channel : run_.channels) {
+      const auto series = run_.series.find(channel.id);
+      if (channel.name == name && channel.kind == Kind::cumulative && series != run_.series.end() &&
+          !series->second.t_ns.empty())
+        return ChannelTrack(channel, series->second);
+    }
+    return std::nullopt;
+  }
 
   /// A quota stops the work: what it took, beyond what it takes of every normal frame, must be the
   /// time that was lost.
@@ -338,9 +403,9 @@ class Judge {
         ratio = ratio_against(tail, lost_s);
       else if (lost_s > 0.05 * one.excess_s || !seen_within(one, source))
         ratio = 0.5;
-      Look& look = looks[c][quota];
-      if (ratio <= look.best) continue;
-      look = {ratio, {run_.channels[source.channel].name, *stopped, expected_s, "s"}, set};
+      Look said{ratio, {{run_.channels[source.channel].name, *stopped, expected_s, "s"}}, set};
+      if (after_stops_[c].best > ratio) said = after_stops_[c];
+      if (said.best > looks[c][quota].best) looks[c][quota] = std::move(said);
     }
   }
 
@@ -390,9 +455,9 @@ class Judge {
         if (ratio > look.best) {
           look.best = ratio;
           look.set = set;
-          look.evidence = {channel.name, share,
-                           tail.count() > 0 ? std::optional(tail.quantile_of(0.5)) : std::nullopt,
-                           "1"};
+          look.evidence = {{channel.name, share,
+                            tail.count() > 0 ? std::optional(tail.quantile_of(0.5)) : std::nullopt,
+                            "1"}};
         }
       }
     }
@@ -413,7 +478,7 @@ class Judge {
         one.weigh(h, look.best);
         one.shown[h] = one.shown[h] || (look.set && look.best > 1);
         any_set = any_set || (h != quota && h != low_clock && one.shown[h]);
-        one.evidence.emplace_back(h, look.evidence);
+        for (Evidence& seen : look.evidence) one.evidence.emplace_back(h, std::move(seen));
       }
       // A clock that is low while a reason is set is low for that reason.
       if (any_set) one.weigh(low_clock, 0.05);
@@ -488,7 +553,6 @@ class Judge {
     std::vector<double> best;  // by case; 0: nobody looked
     std::vector<bool> shown;
     std::vector<std::vector<Evidence>> evidence;
-    std::vector<double> strongest_for;
 
     void note(std::size_t count, std::size_t c, double ratio, bool is_for, Evidence seen) {
       if (best.empty()) {
@@ -563,6 +627,20 @@ class Judge {
     return least;
   }
 
+  /// The normal frames, without those about which a sensor of this resolution would also tell what
+  /// a quota's stop just before them took; all where too few are left.
+  [[nodiscard]] std::vector<bool> normal_without_stops(int64_t resolution_ns) const {
+    std::vector<bool> clear = normal_;
+    for (const ThrottleSource& source : throttling_.sources) {
+      if (!source.quota) continue;
+      for (std::size_t i = 0; i < frames_.size(); ++i)
+        if (source.active.share(frames_[i].begin_ns - resolution_ns, frames_[i].end_ns) > 0)
+          clear[i] = false;
+    }
+    const auto count = static_cast<std::size_t>(std::count(clear.begin(), clear.end(), true));
+    return count >= min_trial_reference ? clear : normal_;
+  }
+
   void look_at_interference(const Channel& channel, const SampleSeries& series) {
     const ChannelTrack track(channel, series);
     const bool is_counter = channel.kind == Kind::cumulative;
@@ -573,10 +651,11 @@ class Judge {
     std::vector<std::optional<double>> rates(frames_.size());
     for (std::size_t i = 0; i < frames_.size(); ++i)
       rates[i] = said_by(track, {frames_[i].begin_ns, frames_[i].end_ns});
-    const Reference reference(frames_, normal_, rates);
+    const std::vector<bool> undisturbed = normal_without_stops(track.resolution_ns());
+    const Reference reference(frames_, undisturbed, rates);
     Tail tail(track.resolution_ns());
     for (std::size_t i = 0; i < frames_.size(); ++i)
-      if (normal_[i] && rates[i]) tail.add(frames_[i], *rates[i]);
+      if (undisturbed[i] && rates[i]) tail.add(frames_[i], *rates[i]);
     tail.sort();
     if (tail.count() < min_cell_reference) return;
     const double usual = tail.quantile_of(0.9);
@@ -603,6 +682,7 @@ class Judge {
           ratio = ratio_against(tail, *rate);
         else if (resolved && explained < 0.1)
           ratio = 0.1;
+        one.off_processor = one.off_processor || (is_for && explained > 0.7);
         if (!resolved && (*rate - expected) * length_s < 0.1 * excess_s) ratio = 0.5;
       } else {
         is_for = *rate > std::max(2 * expected, 1.5 * usual) &&
@@ -626,16 +706,19 @@ class Judge {
         Case& one = cases_[c];
         if (looks.best[c] == 0) continue;
         double ratio = looks.best[c];
-        // A stopped group waits and is switched out: that is the quota's doing.
-        if (hypothesis == interruption && one.shown[quota]) ratio *= 0.02;
+        // A stopped group waits, is switched out, and others' misses are counted meanwhile: that is
+        // the quota's doing.
+        if (one.shown[quota]) ratio *= 0.02;
+        // Nor does a program miss the cache while it has no processor.
+        if (hypothesis == misses && one.off_processor) ratio *= 0.05;
         one.weigh(hypothesis, ratio);
         one.shown[hypothesis] = looks.shown[c];
         for (Evidence& seen : looks.evidence[c])
           one.evidence.emplace_back(hypothesis, std::move(seen));
       }
     };
-    merge(miss_looks_, misses);
     merge(interference_looks_, interruption);
+    merge(miss_looks_, misses);
   }
 
   // -------------------------------------------------------------------------- work
@@ -786,6 +869,7 @@ class Judge {
   std::optional<DeviceClock> clock_;
   SpanSet trials_;                   // when timed frames were traced, gaps between them included
   std::vector<std::size_t> length_;  // of episodes, in slow frames
+  std::vector<Look> after_stops_;    // by case, where own threads waited after a stop
   Looks miss_looks_;
   Looks interference_looks_;
 };

@@ -29,37 +29,45 @@ constexpr std::size_t max_thread_count = 256;
 constexpr int64_t schedstat_period_ns = 5 * ns_per_ms;
 constexpr int64_t new_thread_check_ns = 100 * ns_per_ms;
 
-// The second number.
-std::optional<int64_t> parse_wait_ns(std::string_view text) {
-  const std::size_t space = text.find(' ');
-  if (space == std::string_view::npos) return std::nullopt;
+struct Times {
+  int64_t run_ns = 0;
   int64_t wait_ns = 0;
-  const auto [stop, error] =
-      std::from_chars(text.data() + space + 1, text.data() + text.size(), wait_ns);
-  if (error != std::errc{}) return std::nullopt;
-  return wait_ns;
+};
+
+// The first two numbers.
+std::optional<Times> parse_times(std::string_view text) {
+  Times times;
+  const char* const end = text.data() + text.size();
+  const auto [space, run_error] = std::from_chars(text.data(), end, times.run_ns);
+  if (run_error != std::errc{} || space == end || *space != ' ') return std::nullopt;
+  const auto [stop, wait_error] = std::from_chars(space + 1, end, times.wait_ns);
+  if (wait_error != std::errc{}) return std::nullopt;
+  return times;
 }
 
 struct Thread {
   pid_t id = 0;
   int fd = -1;
-  int64_t wait_ns = 0;  // as last read
+  Times times;  // as last read
 };
 
-Channel wait_channel() {
+Channel time_channel(std::string name, Quantity quantity, std::string_view what) {
   Channel channel;
-  channel.name = "process.cpu_wait";
-  channel.quantity = Quantity::interference;
+  channel.name = std::move(name);
+  channel.quantity = quantity;
   channel.unit = Unit::nanosecond;
   channel.kind = Kind::cumulative;
-  channel.origin = fmt::format("{}/*/schedstat: time waiting to run", task_directory);
+  channel.origin = fmt::format("{}/*/schedstat: {}", task_directory, what);
   return channel;
 }
 
 class SchedstatSource final : public SensorSource {
  public:
   SchedstatSource()
-      : SensorSource("schedstat", schedstat_period_ns, {wait_channel()}),
+      : SensorSource(
+            "schedstat", schedstat_period_ns,
+            {time_channel("process.cpu_wait", Quantity::interference, "time waiting to run"),
+             time_channel("process.cpu_time", Quantity::utilization, "time running")}),
         directory_(open(task_directory, O_RDONLY | O_DIRECTORY | O_CLOEXEC)) {}
   ~SchedstatSource() override {
     for (std::size_t i = 0; i < thread_count_; ++i) close(threads_[i].fd);
@@ -74,26 +82,31 @@ class SchedstatSource final : public SensorSource {
     }
     const auto self = static_cast<pid_t>(syscall(SYS_gettid));
     for (std::size_t i = 0; i < thread_count_;) {
-      const std::optional<int64_t> wait_ns = read_wait_ns(threads_[i].fd);
-      if (!wait_ns) {  // it ended
+      const std::optional<Times> times = read_times(threads_[i].fd);
+      if (!times) {  // it ended
         close(threads_[i].fd);
         threads_[i] = threads_[--thread_count_];
         continue;
       }
-      if (threads_[i].id != self) total_ns_ += std::max<int64_t>(*wait_ns - threads_[i].wait_ns, 0);
-      threads_[i].wait_ns = *wait_ns;
+      const Times& last = threads_[i].times;
+      total_.run_ns += std::max<int64_t>(times->run_ns - last.run_ns, 0);
+      if (threads_[i].id != self)
+        total_.wait_ns += std::max<int64_t>(times->wait_ns - last.wait_ns, 0);
+      threads_[i].times = *times;
       ++i;
     }
     const int64_t width_ns = now_ns() - before_ns;
-    out[0] = {PollStatus::ok, before_ns + width_ns / 2, total_ns_, width_ns, 0};
+    const int64_t t_ns = before_ns + width_ns / 2;
+    out[0] = {PollStatus::ok, t_ns, total_.wait_ns, width_ns, 0};
+    out[1] = {PollStatus::ok, t_ns, total_.run_ns, width_ns, 0};
   }
 
  private:
-  static std::optional<int64_t> read_wait_ns(int fd) noexcept {
+  static std::optional<Times> read_times(int fd) noexcept {
     std::array<char, 96> buffer;
     const ssize_t got = pread(fd, buffer.data(), buffer.size(), 0);
     if (got <= 0) return std::nullopt;
-    return parse_wait_ns({buffer.data(), static_cast<std::size_t>(got)});
+    return parse_times({buffer.data(), static_cast<std::size_t>(got)});
   }
 
   // By system calls of its own: readdir() allocates.
@@ -130,15 +143,16 @@ class SchedstatSource final : public SensorSource {
     fmt::format_to_n(path.data(), path.size() - 1, "{}/{}/schedstat", task_directory, id);
     const int fd = open(path.data(), O_RDONLY | O_CLOEXEC);
     if (fd < 0) return;
-    // What a thread waited before the first poll is not this run's; later ones are from it.
-    threads_[thread_count_++] = {id, fd, is_first_look_ ? read_wait_ns(fd).value_or(0) : 0};
+    // What a thread did before the first poll is not this run's; later ones are from it.
+    threads_[thread_count_++] = {id, fd,
+                                 is_first_look_ ? read_times(fd).value_or(Times{}) : Times{}};
   }
 
   int directory_;
   std::array<Thread, max_thread_count> threads_;
   std::size_t thread_count_ = 0;
   int64_t next_check_ns_ = 0;
-  int64_t total_ns_ = 0;
+  Times total_;
   bool is_first_look_ = true;
 };
 
@@ -154,9 +168,9 @@ void discover_schedstat(const Root& root, const Selection& selection, Discovery&
   if (!text.text)
     discovery.missing.push_back(
         {"schedstat", fmt::format("cannot read '{}': {}", own_file, errno_text(text.error)), ""});
-  else if (!parse_wait_ns(*text.text))
+  else if (!parse_times(*text.text))
     discovery.missing.push_back(
-        {"schedstat", fmt::format("'{}' has no second number", own_file), ""});
+        {"schedstat", fmt::format("'{}' does not begin with two numbers", own_file), ""});
   else
     discovery.sources.push_back(std::make_unique<SchedstatSource>());
 }

@@ -17,4 +17,4 @@ setup_build "$preset"
 program=${root_dir:?}/build/$preset/app/energyprof
 [ ! -x "$program" ] || "$program" models fetch dragon >&2 || true
 if [ "$preset" = tsan ]; then set -- -R '^probe\.' "$@"; fi
-exec ctest --test-dir "$root_dir/build/$preset" --output-on-failure "$@"
+exec ctest --test-dir "$root_dir/build/$preset" --output-on-failure --parallel "$(nproc)" "$@"

@@ -160,6 +160,81 @@ TEST(Cause, IsAQuotaThatStopsEveryFrameButThisOneMore) {
   stretch.expect(Cause::throttle_other, "cgroup.cpu.throttled");
 }
 
+/// 200 frames of 10 ms on two processors under a quota: each fourth of the first `stopped` takes
+/// 85 ms, 75 of them stopped. Frames 21, 61, 101, 141 and 181, each the second after a
+/// stop where there are stops, take 16 ms, in which their threads wait 10 ms for each other.
+struct Crowding {
+  explicit Crowding(std::size_t stopped = 200) {
+    std::vector<double> times_ms;
+    for (std::size_t i = 0; i < 200; ++i) {
+      const double noise_ms = 0.1 * static_cast<double>(i % 3);
+      times_ms.push_back(is_crowded(i) ? 16 : (i < stopped && i % 4 == 3 ? 85 : 10 + noise_ms));
+    }
+    builder.add_trial("m", 0, "A", times_ms);
+    count = static_cast<std::size_t>((builder.now_ns - planted::begin_ns) / ms);
+    counter("cgroup.cpu.throttled", Quantity::interference,
+            [=](std::size_t i) { return i < stopped && i % 4 == 3 ? 150e6 : 0.0; });
+    counter("process.cpu_wait", Quantity::interference,
+            [](std::size_t i) { return is_crowded(i) ? 10e6 : 0.5e6; });
+    counter("process.cpu_time", Quantity::utilization, [](std::size_t) { return 19e6; });
+  }
+  static bool is_crowded(std::size_t i) { return i % 40 == 21; }
+  /// A counter of nanoseconds that rises by so much during frame i.
+  void counter(const std::string& name, Quantity quantity,
+               const std::function<double(std::size_t)>& of_frame) {
+    builder.add_channel(
+        name, quantity, Unit::nanosecond, Kind::cumulative, ms, count,
+        [&, frame = std::size_t{0}, before = 0.0](std::size_t i) mutable {
+          const std::vector<FrameRecord>& frames = builder.run.frames;
+          const int64_t t_ns = planted::begin_ns + static_cast<int64_t>(i) * ms;
+          while (t_ns >= frames[frame].end_ns) before += of_frame(frame++);
+          const FrameRecord& now = frames[frame];
+          return std::floor(before + of_frame(frame) * static_cast<double>(t_ns - now.begin_ns) /
+                                         static_cast<double>(now.end_ns - now.begin_ns));
+        });
+  }
+  /// What the crowded frames were found to be caused by.
+  [[nodiscard]] std::vector<Attribution> found() const {
+    std::vector<Attribution> result;
+    for (const Outlier& outlier : analyze(builder.run).outliers)
+      if (is_crowded(static_cast<std::size_t>(builder.run.frames[outlier.frame_index].frame)))
+        result.push_back(outlier.attribution);
+    EXPECT_EQ(result.size(), 5u);
+    return result;
+  }
+
+  RunBuilder builder;
+  std::size_t count = 0;
+};
+
+TEST(Cause, IsTheQuotaWhereOwnThreadsCrowdAfterAStop) {
+  Crowding crowding;
+  crowding.counter("proc.stat.busy", Quantity::utilization, [](std::size_t) { return 19.5e6; });
+  for (const Attribution& found : crowding.found()) {
+    EXPECT_EQ(to_string(found.cause), to_string(Cause::throttle_other));
+    EXPECT_GE(found.confidence, min_confidence);
+    ASSERT_GE(found.evidence.size(), 2u);
+    EXPECT_EQ(found.evidence[0].channel, "process.cpu_wait");
+    EXPECT_EQ(found.evidence[1].channel, "cgroup.cpu.throttled");
+    EXPECT_NEAR(found.evidence[1].value, 0.075, 0.01);
+  }
+}
+
+TEST(Cause, IsInterferenceAfterAStopWhereOthersKeepTheProcessors) {
+  Crowding crowding;
+  crowding.counter("proc.stat.busy", Quantity::utilization,
+                   [](std::size_t i) { return i % 4 == 3 ? 150e6 : 35e6; });
+  for (const Attribution& found : crowding.found())
+    EXPECT_EQ(to_string(found.cause), to_string(Cause::interference));
+}
+
+TEST(Cause, IsInterferenceWhereOwnThreadsWaitLongAfterAnyStop) {
+  Crowding crowding(/*stopped=*/8);
+  crowding.counter("proc.stat.busy", Quantity::utilization, [](std::size_t) { return 19.5e6; });
+  for (const Attribution& found : crowding.found())
+    EXPECT_EQ(to_string(found.cause), to_string(Cause::interference));
+}
+
 TEST(Cause, IsStolenTime) {
   OneStretch stretch(20);
   stretch.counter("proc.stat.steal", Quantity::interference, Unit::clock_tick, 0.05, 0);

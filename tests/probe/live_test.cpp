@@ -240,6 +240,35 @@ TEST(Live, WaitingForAProcessorIsCountedForEveryThread) {
   EXPECT_GE(poll_all(found)[name].value, last_ns);
 }
 
+TEST(Live, TimeOnAProcessorIsCountedForEveryThread) {
+  const Discovery found = find("schedstat");
+  const std::string name = "process.cpu_time";
+  if (channel_called(found, name).id == 0) GTEST_SKIP() << reason_of(found);
+  rusage usage{};
+  const auto used_ns = [&usage] {
+    getrusage(RUSAGE_SELF, &usage);
+    int64_t sum_us = 0;
+    for (const timeval& time : {usage.ru_utime, usage.ru_stime})
+      sum_us += time.tv_sec * 1'000'000 + time.tv_usec;
+    return sum_us * 1000;
+  };
+  const int64_t before_ns = poll_all(found)[name].value;
+  const int64_t used_before_ns = used_ns();
+  std::atomic<bool> stop = false;
+  const std::jthread other([&] {
+    while (!stop) continue;
+  });
+  spin(300 * ns_per_ms);
+  const int64_t used_after_ns = used_ns();
+  // What ended between two polls is not seen: so the other one is polled while it is there.
+  const int64_t rise_ns = poll_all(found)[name].value - before_ns;
+  stop = true;
+  // Of a thread that runs the kernel tells what it had at its last tick.
+  constexpr int64_t slack_ns = 30 * ns_per_ms;
+  EXPECT_GE(rise_ns, used_after_ns - used_before_ns - slack_ns);
+  EXPECT_LE(rise_ns, used_ns() - used_before_ns + slack_ns);
+}
+
 // The n-th number of the first line of /proc/stat, from 1.
 int64_t stat_ticks(int n) {
   std::ifstream file("/proc/stat");
