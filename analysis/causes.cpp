@@ -1,5 +1,7 @@
 #include "analysis/causes.h"
 
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -238,13 +240,11 @@ class Judge {
     look_at_clock();
     look_after_stops();
     look_at_throttling();
-    for (const Channel& channel : run_.channels) {
-      const auto series = run_.series.find(channel.id);
-      if (series == run_.series.end() || series->second.t_ns.empty()) continue;
-      if (channel.quantity == Quantity::cache_miss || channel.quantity == Quantity::memory_traffic)
-        look_at_misses(channel, series->second);
-      else if (channel.quantity == Quantity::interference && !is_quota(channel))
-        look_at_interference(channel, series->second);
+    for (const Told& told : ask_channels()) {
+      if (told.channel->quantity == Quantity::interference)
+        look_at_interference(told);
+      else
+        look_at_misses(told);
     }
     merge_looks();
     look_at_work(&FrameRecord::ray_count, "frames.ray_count");
@@ -577,13 +577,33 @@ class Judge {
     return std::string(unit_info(channel.unit).si) + "/s";
   }
 
+  /// What a channel says of every frame.
+  struct Told {
+    const Channel* channel;
+    ChannelTrack track;
+    std::vector<std::optional<double>> rates;
+  };
+  [[nodiscard]] std::vector<Told> ask_channels() const {
+    std::vector<Told> result;
+    for (const Channel& channel : run_.channels) {
+      const auto series = run_.series.find(channel.id);
+      if (series == run_.series.end() || series->second.t_ns.empty() || is_quota(channel)) continue;
+      if (channel.quantity == Quantity::cache_miss ||
+          channel.quantity == Quantity::memory_traffic ||
+          channel.quantity == Quantity::interference)
+        result.push_back({&channel, ChannelTrack(channel, series->second), {}});
+    }
+    tbb::parallel_for(std::size_t{0}, result.size(), [&](std::size_t c) {
+      for (const TimedFrame& frame : frames_)
+        result[c].rates.push_back(said_by(result[c].track, {frame.begin_ns, frame.end_ns}));
+    });
+    return result;
+  }
+
   /// Misses per ray must rise, and faster than the time: a counter that also counts what others do
   /// rises with time alone.
-  void look_at_misses(const Channel& channel, const SampleSeries& series) {
-    const ChannelTrack track(channel, series);
-    std::vector<std::optional<double>> rates(frames_.size());
-    for (std::size_t i = 0; i < frames_.size(); ++i)
-      rates[i] = said_by(track, {frames_[i].begin_ns, frames_[i].end_ns});
+  void look_at_misses(const Told& told) {
+    const auto& [channel, track, rates] = told;
     const Reference reference(frames_, normal_, rates);
     const auto log_ratio = [](double value, double expected) {
       return std::log(std::max(value, 1e-3 * expected) / expected);
@@ -606,14 +626,14 @@ class Judge {
       const double rise = log_ratio(*rate, *expected);
       // Per ray: as the frame took `ratio` times as long for its rays.
       const double per_ray = rise + std::log(one.slow->ratio);
-      const std::string unit = evidence_unit(channel);
+      const std::string unit = evidence_unit(*channel);
       const bool is_for = rise > std::max(0.10, 1.5 * usual) && per_ray > 0.26;
       double ratio = 0.5;
       if (is_for)
         ratio = ratio_against(tail, rise);
       else if (rise < 0.05 && window.end_ns - window.begin_ns >= track.resolution_ns())
         ratio = denial;
-      miss_looks_.note(cases_.size(), c, ratio, is_for, {channel.name, *rate, *expected, unit});
+      miss_looks_.note(cases_.size(), c, ratio, is_for, {channel->name, *rate, *expected, unit});
     }
   }
 
@@ -641,16 +661,13 @@ class Judge {
     return count >= min_trial_reference ? clear : normal_;
   }
 
-  void look_at_interference(const Channel& channel, const SampleSeries& series) {
-    const ChannelTrack track(channel, series);
-    const bool is_counter = channel.kind == Kind::cumulative;
+  void look_at_interference(const Told& told) {
+    const auto& [channel, track, rates] = told;
+    const bool is_counter = channel->kind == Kind::cumulative;
     // Time per time: that is the share of the time that others had.
-    const bool is_share = unit_info(channel.unit).si == (is_counter ? "s" : "1") &&
-                          (is_counter || channel.unit != Unit::none);
+    const bool is_share = unit_info(channel->unit).si == (is_counter ? "s" : "1") &&
+                          (is_counter || channel->unit != Unit::none);
     const double quantum_s = is_share && is_counter ? quantum_of(track) : 0;
-    std::vector<std::optional<double>> rates(frames_.size());
-    for (std::size_t i = 0; i < frames_.size(); ++i)
-      rates[i] = said_by(track, {frames_[i].begin_ns, frames_[i].end_ns});
     const std::vector<bool> undisturbed = normal_without_stops(track.resolution_ns());
     const Reference reference(frames_, undisturbed, rates);
     Tail tail(track.resolution_ns());
@@ -693,9 +710,9 @@ class Judge {
         else if (resolved)
           ratio = 0.3;
       }
-      const std::string unit = evidence_unit(channel);
+      const std::string unit = evidence_unit(*channel);
       interference_looks_.note(cases_.size(), c, ratio, is_for,
-                               {channel.name, *rate, expected, unit});
+                               {channel->name, *rate, expected, unit});
     }
   }
 

@@ -1,5 +1,7 @@
 #include "analysis/outliers.h"
 
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
 #include <array>
 #include <boost/math/distributions/students_t.hpp>
@@ -490,7 +492,7 @@ OutlierSearch find_slow_frames(std::span<const TimedFrame> frames) {
   OutlierSearch result;
   result.baseline_ms.resize(frames.size());
   std::vector<Group> groups = make_groups(frames);
-  for (Group& group : groups) set_baseline(group);
+  tbb::parallel_for(std::size_t{0}, groups.size(), [&](std::size_t g) { set_baseline(groups[g]); });
   compare_trials(groups, frames);
 
   Noise noise;
@@ -515,11 +517,14 @@ OutlierSearch find_slow_frames(std::span<const TimedFrame> frames) {
   };
   std::vector<std::vector<double>> slow;
   learn(slow);
-  for (const Group& group : groups) slow.push_back(slow_probability(group, noise));
-  for (std::size_t g = 0; g < groups.size(); ++g)
+  slow.resize(groups.size());
+  tbb::parallel_for(std::size_t{0}, groups.size(), [&](std::size_t g) {
+    slow[g] = slow_probability(groups[g], noise);
     if (!groups[g].entirely_slow) follow_drift(groups[g], slow[g]);
+  });
   learn(slow);
-  for (std::size_t g = 0; g < groups.size(); ++g) slow[g] = slow_probability(groups[g], noise);
+  tbb::parallel_for(std::size_t{0}, groups.size(),
+                    [&](std::size_t g) { slow[g] = slow_probability(groups[g], noise); });
 
   struct Found {
     SlowFrame frame;

@@ -518,8 +518,7 @@ json image_list(const std::vector<ReportImage>& images, std::size_t budget_bytes
 /// report.json without what the page holds in a shorter form.
 json page_report(const RunRecord& run, const Analysis& analysis,
                  const std::vector<std::string>& image_files) {
-  json report = report_json(run, analysis, image_files);
-  report.erase("outliers");
+  json report = report_json_without_outliers(run, analysis, image_files);
   report["throttling"].erase("intervals");
   json events = json::array();
   for (json& event : report["events"])

@@ -361,6 +361,15 @@ json list(const Range& range, Convert convert) {
 
 json report_json(const RunRecord& run, const Analysis& analysis,
                  const std::vector<std::string>& image_files) {
+  json report = report_json_without_outliers(run, analysis, image_files);
+  report["outliers"] = list(analysis.outliers, [&](const Outlier& outlier) {
+    return outlier_json(run, analysis, outlier);
+  });
+  return report;
+}
+
+json report_json_without_outliers(const RunRecord& run, const Analysis& analysis,
+                                  const std::vector<std::string>& image_files) {
   json report;
   report["schema_version"] = schema_version;
   report["run"] = run_json(run, analysis);
@@ -386,9 +395,6 @@ json report_json(const RunRecord& run, const Analysis& analysis,
   });
   report["energy"] = list(analysis.energy, energy_json);
   report["energy_by_channel"] = list(analysis.energy_by_channel, energy_json);
-  report["outliers"] = list(analysis.outliers, [&](const Outlier& outlier) {
-    return outlier_json(run, analysis, outlier);
-  });
   report["regimes"] =
       list(analysis.regimes, [&](const TrialRegime& regime) { return regime_json(run, regime); });
   report["throttling"] = throttling_json(run, analysis.throttling);

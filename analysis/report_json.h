@@ -14,4 +14,8 @@ namespace energyprof::analysis {
 nlohmann::json report_json(const RunRecord& run, const Analysis& analysis,
                            const std::vector<std::string>& image_files = {});
 
+/// The same without `outliers`, which may be many.
+nlohmann::json report_json_without_outliers(const RunRecord& run, const Analysis& analysis,
+                                            const std::vector<std::string>& image_files);
+
 }  // namespace energyprof::analysis

@@ -2,6 +2,7 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <tbb/parallel_invoke.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -127,15 +128,22 @@ std::vector<fs::path> write_reports(const RunRecord& run, const Analysis& analys
   const std::vector<ReportImage> images = read_images(directory / "images");
   std::vector<std::string> image_files;
   for (const ReportImage& image : images) image_files.push_back(image_file(image.title));
-  export_timeline(run, timeline_file, timeline, &analysis);
-  write_file(json_file, [&](std::ostream& out) {
-    using nlohmann::json;
-    out << report_json(run, analysis, image_files)
-               .dump(2, ' ', false, json::error_handler_t::replace)
-        << '\n';
-  });
-  write_file(md_file, [&](std::ostream& out) { out << report_md(run, analysis, image_files); });
-  write_file(html_file, [&](std::ostream& out) { out << report_html(run, analysis, images); });
+  std::string json_text;
+  std::string md_text;
+  std::string html_text;
+  // Texts come to be beside the timeline, but are written after it: what fails first is the same
+  // each time.
+  tbb::parallel_invoke([&] { export_timeline(run, timeline_file, timeline, &analysis); },
+                       [&] {
+                         using nlohmann::json;
+                         json_text = report_json(run, analysis, image_files)
+                                         .dump(2, ' ', false, json::error_handler_t::replace);
+                         md_text = report_md(run, analysis, image_files);
+                         html_text = report_html(run, analysis, images);
+                       });
+  write_file(json_file, [&](std::ostream& out) { out << json_text << '\n'; });
+  write_file(md_file, [&](std::ostream& out) { out << md_text; });
+  write_file(html_file, [&](std::ostream& out) { out << html_text; });
   return {timeline_file, json_file, md_file, html_file};
 }
 
