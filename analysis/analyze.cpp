@@ -493,9 +493,9 @@ void add_relations(const RunRecord& run, Analysis& analysis) {
 }
 
 void warn_about_sampler(const SamplerCost& cost, std::vector<std::string>& warnings) {
-  if (!cost.tick_count || !cost.missed_tick_count || *cost.tick_count <= 0) return;
-  const double missed_ratio =
-      static_cast<double>(*cost.missed_tick_count) / static_cast<double>(*cost.tick_count);
+  if (!cost.tick_count || cost.missed_tick_count.value_or(0) <= 0) return;
+  const double missed_ratio = static_cast<double>(*cost.missed_tick_count) /
+                              static_cast<double>(*cost.tick_count + *cost.missed_tick_count);
   if (missed_ratio > 0.01)
     warnings.push_back(
         fmt::format("The sampler missed {:.1f} % of its ticks: short events may be lost. "

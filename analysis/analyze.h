@@ -170,8 +170,8 @@ struct DeviceRefusal {
 /// What sampling itself cost; each absent if the recorder did not say.
 struct SamplerCost {
   std::optional<int64_t> cpu_ns;
-  std::optional<double> core_ratio;  ///< CPU time / duration of the run: share of one core
-  std::optional<int64_t> tick_count;
+  std::optional<double> core_ratio;   ///< CPU time / duration of the run: share of one core
+  std::optional<int64_t> tick_count;  ///< ticks served
   std::optional<int64_t> missed_tick_count;
   std::optional<int64_t> lost_sample_count;
   std::optional<int64_t> lateness_p50_ns;

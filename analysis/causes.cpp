@@ -550,9 +550,10 @@ class Judge {
 
   /// What the channels of one kind say of a case: the strongest for, else the weakest against.
   struct Looks {
+    static constexpr std::size_t max_evidence_count = 6;
     std::vector<double> best;  // by case; 0: nobody looked
     std::vector<bool> shown;
-    std::vector<std::vector<Evidence>> evidence;
+    std::vector<std::vector<Evidence>> evidence;  // best first
 
     void note(std::size_t count, std::size_t c, double ratio, bool is_for, Evidence seen) {
       if (best.empty()) {
@@ -563,18 +564,22 @@ class Judge {
       if (ratio > best[c]) {
         best[c] = ratio;
         shown[c] = is_for && ratio > 1;
+        if (evidence[c].size() == max_evidence_count) evidence[c].pop_back();
         evidence[c].insert(evidence[c].begin(), std::move(seen));
-      } else {
+      } else if (evidence[c].size() < max_evidence_count) {
         evidence[c].push_back(std::move(seen));
       }
     }
   };
 
-  /// Of ChannelTrack::over().
-  static std::string evidence_unit(const Channel& channel) {
-    if (channel.kind != Kind::cumulative) return std::string(unit_info(channel.unit).si);
-    if (channel.unit == Unit::none) return "count/s";
-    return std::string(unit_info(channel.unit).si) + "/s";
+  /// Values of ChannelTrack::over().
+  static Evidence evidence_of(const Channel& channel, double value, double expected) {
+    const std::string si(unit_info(channel.unit).si);
+    if (channel.kind == Kind::cumulative)
+      return {channel.name, value, expected, (channel.unit == Unit::none ? "count" : si) + "/s"};
+    if (si == "1" && channel.kind != Kind::flag && channel.unit != Unit::none)
+      return {channel.name, 100 * value, 100 * expected, "%"};
+    return {channel.name, value, expected, si};
   }
 
   /// What a channel says of every frame.
@@ -626,14 +631,13 @@ class Judge {
       const double rise = log_ratio(*rate, *expected);
       // Per ray: as the frame took `ratio` times as long for its rays.
       const double per_ray = rise + std::log(one.slow->ratio);
-      const std::string unit = evidence_unit(*channel);
       const bool is_for = rise > std::max(0.10, 1.5 * usual) && per_ray > 0.26;
       double ratio = 0.5;
       if (is_for)
         ratio = ratio_against(tail, rise);
       else if (rise < 0.05 && window.end_ns - window.begin_ns >= track.resolution_ns())
         ratio = denial;
-      miss_looks_.note(cases_.size(), c, ratio, is_for, {channel->name, *rate, *expected, unit});
+      miss_looks_.note(cases_.size(), c, ratio, is_for, evidence_of(*channel, *rate, *expected));
     }
   }
 
@@ -710,9 +714,8 @@ class Judge {
         else if (resolved)
           ratio = 0.3;
       }
-      const std::string unit = evidence_unit(*channel);
       interference_looks_.note(cases_.size(), c, ratio, is_for,
-                               {channel->name, *rate, expected, unit});
+                               evidence_of(*channel, *rate, expected));
     }
   }
 

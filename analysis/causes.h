@@ -34,7 +34,8 @@ struct Evidence {
   std::string channel;  ///< or "frames.ray_count", "frames.node_visit_count"
   double value = 0;
   std::optional<double> expected;  ///< median of the normal frames it is compared with
-  std::string unit;  ///< of both: SI; "1" for the share of the time in which a reason was set
+  /// Of both: SI, "%"; "1" for the share of the time in which a flag was set.
+  std::string unit;
 };
 
 struct Attribution {

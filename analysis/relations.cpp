@@ -7,7 +7,6 @@
 #include <cctype>
 #include <cmath>
 #include <map>
-#include <numeric>
 #include <string>
 
 #include "analysis/analyze.h"
@@ -40,18 +39,6 @@ int64_t refresh_ns(const Channel& channel, const ChannelTrack& track) {
   return refresh;
 }
 
-/// The mean of the readings in [begin_ns, end_ns); nullopt without any.
-std::optional<double> mean_of_readings(const ChannelTrack& track, int64_t begin_ns,
-                                       int64_t end_ns) {
-  const auto& t_ns = track.t_ns();
-  const auto first = std::lower_bound(t_ns.begin(), t_ns.end(), begin_ns);
-  const auto last = std::lower_bound(first, t_ns.end(), end_ns);
-  if (first == last) return std::nullopt;
-  const auto value = track.value().begin();
-  return std::accumulate(value + (first - t_ns.begin()), value + (last - t_ns.begin()), 0.0) /
-         static_cast<double>(last - first);
-}
-
 ChannelSignal signal_of(const RunRecord& run, const Channel& channel,
                         std::span<const TimedFrame> frames, std::span<const Span> spans) {
   ChannelSignal signal;
@@ -79,10 +66,8 @@ ChannelSignal signal_of(const RunRecord& run, const Channel& channel,
   for (std::size_t i = 0; i < spans.size(); ++i) {
     // What was read while the frame ran says more about it than the reading before it does, which
     // stands until the next one.
-    std::optional<double> read;
-    if (channel.kind != Kind::cumulative)
-      read = mean_of_readings(track, std::max(spans[i].begin_ns, frames[i].begin_ns),
-                              std::min(spans[i].end_ns, frames[i].end_ns));
+    const auto read = track.inside(std::max(spans[i].begin_ns, frames[i].begin_ns),
+                                   std::min(spans[i].end_ns, frames[i].end_ns));
     signal.value.push_back(read ? read : track.over(spans[i].begin_ns, spans[i].end_ns));
   }
   return signal;

@@ -79,7 +79,7 @@ double short_number(double value) {
 /// Seconds since the begin of the run, to a hundredth of a millisecond: finer than a pixel, and
 /// short as text.
 double drawn_seconds(const Analysis& analysis, int64_t t_ns) {
-  return std::round(static_cast<double>(t_ns - analysis.run.begin_ns) * 1e-4) * 1e-5;
+  return std::round(static_cast<double>(t_ns - analysis.run.begin_ns) * 1e-4) / 1e5;
 }
 
 /// A number that names each different text once.
@@ -223,10 +223,7 @@ json frame_points(const RunRecord& run, const Analysis& analysis, const DrawnOut
       begin_ns.push_back(run.frames[cell.frame_index[i]].begin_ns);
       if (drawn.number_of(cell.frame_index[i])) slow.push_back(i);
     }
-    const std::vector<std::size_t> thinned = thin_points(begin_ns, cell.frame_ms, limit);
-    std::vector<std::size_t> kept;
-    std::set_union(thinned.begin(), thinned.end(), slow.begin(), slow.end(),
-                   std::back_inserter(kept));
+    const std::vector<std::size_t> kept = thin_beside(begin_ns, cell.frame_ms, slow, limit);
     cells.push_back({{"unit_ms", packed_unit_ms(cell)},
                      {"count", kept.size()},
                      {"points", packed_points(run, analysis, cell, kept, drawn)}});

@@ -368,6 +368,24 @@ json report_json(const RunRecord& run, const Analysis& analysis,
   return report;
 }
 
+std::string report_json_text(const RunRecord& run, const Analysis& analysis,
+                             const std::vector<std::string>& image_files) {
+  constexpr auto replace = json::error_handler_t::replace;
+  json report = report_json_without_outliers(run, analysis, image_files);
+  report["outliers"] = json::array();
+  std::string text = report.dump(2, ' ', false, replace);
+  // They may be many, and need not all be held as values at once.
+  std::string lines;
+  for (const Outlier& outlier : analysis.outliers) {
+    lines += lines.empty() ? "\n    " : ",\n    ";
+    lines += outlier_json(run, analysis, outlier).dump(-1, ' ', false, replace);
+  }
+  if (lines.empty()) return text;
+  constexpr std::string_view empty_list = "\n  \"outliers\": []";
+  text.insert(text.find(empty_list) + empty_list.size() - 1, lines + "\n  ");
+  return text;
+}
+
 json report_json_without_outliers(const RunRecord& run, const Analysis& analysis,
                                   const std::vector<std::string>& image_files) {
   json report;

@@ -14,6 +14,10 @@ namespace energyprof::analysis {
 nlohmann::json report_json(const RunRecord& run, const Analysis& analysis,
                            const std::vector<std::string>& image_files = {});
 
+/// The same as text, with each outlier on a line of its own.
+std::string report_json_text(const RunRecord& run, const Analysis& analysis,
+                             const std::vector<std::string>& image_files);
+
 /// The same without `outliers`, which may be many.
 nlohmann::json report_json_without_outliers(const RunRecord& run, const Analysis& analysis,
                                             const std::vector<std::string>& image_files);

@@ -330,6 +330,7 @@ void write_relations(Page& page, const Analysis& analysis) {
   const std::size_t row_count = lines.empty() ? 0 : lines.size() - 1;
   for (std::size_t i = 0; i < std::min(row_count, list_length); ++i)
     page.line("- {}", escaped(lines[i]));
+  page.more(row_count, list_length);
   if (!lines.empty()) page.line("\n{}", escaped(lines.back()));
 }
 

@@ -90,8 +90,9 @@ std::vector<std::string> sampler_text(const SamplerCost& cost) {
         cost.core_ratio ? fmt::format(", {:.2f} % of one core", 100 * *cost.core_ratio) : ""));
   if (cost.scheduling) lines.push_back(fmt::format("It ran under {}.", *cost.scheduling));
   if (cost.tick_count && cost.missed_tick_count)
-    lines.push_back(
-        fmt::format("Of {} ticks it missed {}.", *cost.tick_count, *cost.missed_tick_count));
+    lines.push_back(fmt::format("Of {} ticks it missed {}.",
+                                *cost.tick_count + *cost.missed_tick_count,
+                                *cost.missed_tick_count));
   if (cost.lost_sample_count.value_or(0) > 0)
     lines.push_back(
         fmt::format("{} were lost: the recorder did not keep up.",
@@ -230,6 +231,7 @@ namespace {
 
 std::string evidence_value(double value, const std::string& unit) {
   if (unit == "1") return fmt::format("{:.0f} %", 100 * value);
+  if (unit == "%") return fmt::format("{:.3g} %", value);
   if (unit == "s/s") return fmt::format("{:.3g} s/s", value);
   return unit == "count" || unit == "count/s" ? count_text(value) + unit.substr(5)
                                               : scaled(value, unit);
@@ -273,7 +275,10 @@ std::vector<std::string> throttling_text(const RunRecord& run, const Throttling&
         run.channels[source.channel].name, what, source.inferred ? ", inferred" : "",
         100 * source.exposure_ratio, counted(source.active.spans().size(), "interval"),
         duration_text(source.poll_ns), 100 * source.coverage_ratio);
-    if (source.regime) line += "; so it is how the machine runs, and explains no single frame";
+    if (source.regime)
+      line +=
+          "; so it is how the machine runs, and explains only frames that took long where "
+          "others ran without it";
     lines.push_back(line + ".");
   }
   return lines;

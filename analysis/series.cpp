@@ -200,6 +200,29 @@ std::vector<std::size_t> thin_points(const std::vector<int64_t>& t_ns,
   return kept;
 }
 
+std::vector<std::size_t> thin_beside(const std::vector<int64_t>& t_ns,
+                                     const std::vector<double>& value,
+                                     const std::vector<std::size_t>& kept, std::size_t max_count) {
+  std::vector<std::size_t> others;
+  std::vector<int64_t> others_t_ns;
+  std::vector<double> others_value;
+  auto next_kept = kept.begin();
+  for (std::size_t i = 0; i < t_ns.size(); ++i) {
+    if (next_kept != kept.end() && *next_kept == i) {
+      ++next_kept;
+      continue;
+    }
+    others.push_back(i);
+    others_t_ns.push_back(t_ns[i]);
+    others_value.push_back(value[i]);
+  }
+  std::vector<std::size_t> thinned = thin_points(others_t_ns, others_value, max_count);
+  for (std::size_t& place : thinned) place = others[place];
+  std::vector<std::size_t> result;
+  std::merge(thinned.begin(), thinned.end(), kept.begin(), kept.end(), std::back_inserter(result));
+  return result;
+}
+
 Curve thin(const Curve& curve, std::size_t max_count) {
   Curve result;
   result.unit = curve.unit;

@@ -66,6 +66,11 @@ std::optional<Curve> rate(const Channel& channel, const SampleSeries& series);
 std::vector<std::size_t> thin_points(const std::vector<int64_t>& t_ns,
                                      const std::vector<double>& value, std::size_t max_count);
 
+/// thin_points() of all points but `kept` (indices, rising), and those as well.
+std::vector<std::size_t> thin_beside(const std::vector<int64_t>& t_ns,
+                                     const std::vector<double>& value,
+                                     const std::vector<std::size_t>& kept, std::size_t max_count);
+
 /// The curve through thin_points().
 Curve thin(const Curve& curve, std::size_t max_count);
 

@@ -299,7 +299,9 @@ Budget share_events(const RunRecord& run, const TimelineConfig& config, const An
   Budget budget{};
   budget.frames = std::clamp(outlier_count, most * 4 / 10, most * 7 / 10);
   budget.throttle_slices =
-      span_count <= most / 10 ? all : most / 10 / std::max<std::size_t>(1, source_count);
+      span_count <= most / 10
+          ? all
+          : std::max<std::size_t>(1, most / 10 / std::max<std::size_t>(1, source_count));
   budget.instants = most / 20;
   // Names of tracks take little; trials are as many as they are.
   std::size_t taken = run.trials.size() + 8 * (curve_count(run) + source_count + 16);
@@ -332,8 +334,8 @@ void write_throttling(const RunRecord& run, const Throttling& throttling, Budget
         fmt::format("gaps up to {} us are closed", static_cast<double>(longest_closed_ns) * 1e-3);
 }
 
-/// Which of `frames`, sorted by time, to write: the outliers, and of the others the shortest and
-/// the longest of equal stretches of time.
+/// Which of `frames`, sorted by time, to write: the outliers (those that lost most time, where they
+/// alone are too many), and of the others the shortest and the longest of equal stretches of time.
 std::vector<std::size_t> choose_frames(
     const std::vector<const FrameRecord*>& frames,
     const std::unordered_map<const FrameRecord*, const Outlier*>& outliers, Budget& budget) {
@@ -345,16 +347,21 @@ std::vector<std::size_t> choose_frames(
     duration_ns.push_back(static_cast<double>(frames[i]->end_ns - frames[i]->begin_ns));
     if (outliers.contains(frames[i])) slow.push_back(i);
   }
-  const std::size_t rest = budget.frames - std::min(budget.frames, slow.size());
-  const std::vector<std::size_t> thinned =
-      thin_points(begin_ns, duration_ns, std::max<std::size_t>(2, rest));
-  std::vector<std::size_t> chosen;
-  std::set_union(thinned.begin(), thinned.end(), slow.begin(), slow.end(),
-                 std::back_inserter(chosen));
+  const std::size_t slow_count = std::min(slow.size(), budget.frames);
+  const auto behind = slow.begin() + static_cast<std::ptrdiff_t>(slow_count);
+  std::nth_element(slow.begin(), behind, slow.end(), [&](std::size_t a, std::size_t b) {
+    return outliers.at(frames[a])->excess_ms > outliers.at(frames[b])->excess_ms;
+  });
+  const std::string which = slow_count == slow.size()
+                                ? "every outlier"
+                                : fmt::format("the {} outliers that lost most", slow_count);
+  slow.erase(behind, slow.end());
+  std::sort(slow.begin(), slow.end());
+  std::vector<std::size_t> chosen = thin_beside(
+      begin_ns, duration_ns, slow, std::max<std::size_t>(2, budget.frames - slow_count));
   budget.frames_text = fmt::format(
-      "{} of {}: every outlier, and of the others the shortest and the longest of equal stretches "
-      "of time",
-      chosen.size(), frames.size());
+      "{} of {}: {}, and of the others the shortest and the longest of equal stretches of time",
+      chosen.size(), frames.size(), which);
   return chosen;
 }
 

@@ -135,9 +135,7 @@ std::vector<fs::path> write_reports(const RunRecord& run, const Analysis& analys
   // each time.
   tbb::parallel_invoke([&] { export_timeline(run, timeline_file, timeline, &analysis); },
                        [&] {
-                         using nlohmann::json;
-                         json_text = report_json(run, analysis, image_files)
-                                         .dump(2, ' ', false, json::error_handler_t::replace);
+                         json_text = report_json_text(run, analysis, image_files);
                          md_text = report_md(run, analysis, image_files);
                          html_text = report_html(run, analysis, images);
                        });

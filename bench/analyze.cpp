@@ -120,17 +120,24 @@ void write(const RunRecord& run, const std::string& file) {
   writer.close();
 }
 
+std::size_t sample_count_of(const char* text) {
+  const std::size_t count = std::strtoull(text, nullptr, 10);
+  if (count >= 10'000) return count;
+  fmt::print(stderr, "analyze_bench: SAMPLES is '{}'; at least 10000 are needed\n", text);
+  std::exit(2);
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
   if (argc > 2 && std::string_view(argv[1]) == "--write") {
     Machine machine;
     machine.trace();
-    machine.sense(argc > 3 ? std::strtoull(argv[3], nullptr, 10) : 5'000'000);
+    machine.sense(argc > 3 ? sample_count_of(argv[3]) : 5'000'000);
     write(machine.run, argv[2]);
     return 0;
   }
-  const std::size_t largest = argc > 1 ? std::strtoull(argv[1], nullptr, 10) : 5'000'000;
+  const std::size_t largest = argc > 1 ? sample_count_of(argv[1]) : 5'000'000;
   fmt::print("frames,channels,samples,seconds,peak_mib,correlations,related\n");
   for (std::size_t sample_count = 500'000; sample_count <= largest; sample_count *= 10) {
     Machine machine;

@@ -4,6 +4,8 @@
 #include <fmt/std.h>
 
 #include <algorithm>
+#include <cctype>
+#include <cmath>
 #include <condition_variable>
 #include <map>
 #include <mutex>
@@ -431,11 +433,13 @@ Phase parse_phase(const std::string& text) {
       fmt::format("frames.phase '{}' is not known; expected warmup, timed or counted", text));
 }
 
-/// The contract names no severities: what another tool calls otherwise is told, not judged.
-Severity parse_severity(const std::string& text) {
-  if (text == to_string(Severity::error)) return Severity::error;
-  if (text == to_string(Severity::warning) || text == "warn") return Severity::warning;
-  return Severity::info;
+/// The contract names no severities: other tools call them as syslog(3) does, or otherwise.
+Severity parse_severity(std::string text) {
+  std::transform(text.begin(), text.end(), text.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  for (const std::string_view word : {"err", "crit", "fatal", "alert", "emerg", "panic"})
+    if (text.starts_with(word)) return Severity::error;
+  return text.starts_with("warn") ? Severity::warning : Severity::info;
 }
 
 void read_meta(Database& db, RunRecord& run) {
@@ -526,13 +530,34 @@ void read_samples(Database& db, RunRecord& run) {
   Statement s(db, select(db, "samples", {"channel_id", "t_ns", "value"}, {}, ""));
   int64_t channel_id = 0;
   SampleSeries* series = nullptr;
+  struct Infinite {
+    int64_t first_ns = 0;
+    std::size_t count = 0;
+  };
+  std::map<int32_t, Infinite> infinite;
   while (s.next()) {
     if (s.is_null(2)) continue;
     const int64_t id = s.integer(0);
     if (series == nullptr || id != channel_id) series = &run.series[static_cast<int32_t>(id)];
     channel_id = id;
+    const double value = s.real(2);
+    if (!std::isfinite(value)) {
+      Infinite& channel =
+          infinite.try_emplace(static_cast<int32_t>(id), s.integer(1)).first->second;
+      ++channel.count;
+      continue;
+    }
     series->t_ns.push_back(s.integer(1));
-    series->value.push_back(s.real(2));
+    series->value.push_back(value);
+  }
+  for (const auto& [id, channel] : infinite) {
+    Event event;
+    event.t_ns = channel.first_ns;
+    event.severity = Severity::warning;
+    event.kind = "sensor-bad-value";
+    event.channel_id = id;
+    event.text = fmt::format("{} of its samples are infinite and were left out", channel.count);
+    run.events.push_back(std::move(event));
   }
   for (auto& [id, each] : run.series) sort_by_time(each);
 }

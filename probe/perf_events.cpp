@@ -193,7 +193,7 @@ class Opening {
     if (are_hardware) {
       Channel ratio;
       ratio.name = "perf.running_ratio";
-      ratio.quantity = Quantity::interference;
+      ratio.quantity = Quantity::utilization;
       ratio.unit = Unit::ppm;
       ratio.origin = "time_running / time_enabled of " + channels_.front().origin;
       channels_.push_back(std::move(ratio));

@@ -218,7 +218,7 @@
 
   function evidenceValue(value, unit) {
     if (unit === "1") return `${+(100 * value).toFixed(0)} %`;
-    if (unit === "s/s") return `${+value.toPrecision(3)} s/s`;
+    if (unit === "%" || unit === "s/s") return `${+value.toPrecision(3)} ${unit}`;
     if (unit.startsWith("count"))
       return (Math.abs(value) < 999.5 ? String(+value.toPrecision(3)) : scaled(value, "").trim()) + unit.slice(5);
     return scaled(value, unit);

@@ -450,6 +450,7 @@ TEST(Reports, SayWhatDecidedOnACause) {
   EXPECT_EQ(evidence_text(Evidence{"x.freq", 650e6, 1.3e9, "Hz"}),
             "x.freq 650 MHz instead of 1.30 GHz");
   EXPECT_EQ(evidence_text(Evidence{"x.freq", 1.301e9, 1.3e9, "Hz"}), "x.freq 1.30 GHz, as usual");
+  EXPECT_EQ(evidence_text(Evidence{"x.psi", 51.0, 2.5, "%"}), "x.psi 51 % instead of 2.5 %");
   EXPECT_EQ(evidence_text(Evidence{"x.pl1", 0.98, 0.0, "1"}),
             "x.pl1 set 98 % of the time instead of 0 %");
   EXPECT_EQ(evidence_text(Evidence{"x.pl1", 0.0, 0.0, "1"}), "x.pl1 not set, as usual");

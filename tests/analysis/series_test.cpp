@@ -198,6 +198,14 @@ TEST(Series, ChangesOnlyKeepsStepsAndTheLastPoint) {
   EXPECT_EQ(steps.value, (std::vector<double>{5, 6, 6}));
 }
 
+TEST(Series, PeaksThatAreKeptAnywayHideNoOthers) {
+  const std::vector<int64_t> t_ns{0, 1, 2, 3, 4, 5, 6, 7};
+  const std::vector<double> value{1, 2, 9, 3, 1, 1, 4, 2};
+  EXPECT_EQ(thin_beside(t_ns, value, {2}, 2), (std::vector<std::size_t>{0, 2, 6}));
+  EXPECT_EQ(thin_beside(t_ns, value, {}, 2), (std::vector<std::size_t>{0, 2}));
+  EXPECT_EQ(thin_beside({}, {}, {}, 2), std::vector<std::size_t>{});
+}
+
 RC_GTEST_PROP(SeriesProperty, ThinningKeepsExtremesOrderAndLimit, (std::vector<int> numbers)) {
   const auto max_count = static_cast<std::size_t>(*rc::gen::inRange(2, 40));
   Curve curve;

@@ -307,6 +307,36 @@ TEST(Timeline, SharesFewEventsAndSaysWhatIsLeftOut) {
   EXPECT_NE(said.at("events").get<std::string>().find("75 of 2000"), std::string::npos);
 }
 
+TEST(Timeline, OfTooManyOutliersKeepsThoseThatLostMost) {
+  planted::RunBuilder builder;
+  std::vector<double> times_ms(3'000);
+  for (std::size_t i = 0; i < times_ms.size(); ++i)
+    times_ms[i] = (i % 3 == 0 ? 30 : 10) + 0.01 * static_cast<double>(i % 7);
+  builder.add_trial("m", 0, "A", times_ms);
+  builder.close();
+  const Analysis analysis = analyze_frames(builder.run);
+  ASSERT_GT(analysis.outliers.size(), 900u);
+  std::ostringstream out;
+  write_timeline(builder.run, out, {.max_event_count = 1'000}, &analysis);
+  const json timeline = json::parse(out.str());
+  EXPECT_LE(timeline.at("traceEvents").size(), 1'000u);
+  double least_ms = 1e9;
+  std::size_t count = 0;
+  for (const json& frame : events_of(timeline, "X"))
+    if (frame.at("args").contains("outlier")) {
+      least_ms = std::min(least_ms, 1e-3 * frame.at("dur").get<double>());
+      ++count;
+    }
+  EXPECT_GT(count, 500u);
+  std::size_t longer_count = 0;
+  for (const Outlier& outlier : analysis.outliers)
+    longer_count += outlier.frame_ms > least_ms + 1e-6 ? 1 : 0;
+  EXPECT_LT(longer_count, count);
+  EXPECT_NE(
+      timeline.at("otherData").at("frames").get<std::string>().find("outliers that lost most"),
+      std::string::npos);
+}
+
 TEST(Timeline, InFullHoldsEverything) {
   const RunRecord run = restless_run(2'000, 6, 3'000);
   const Analysis analysis = analyze_frames(run);

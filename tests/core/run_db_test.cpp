@@ -319,12 +319,29 @@ TEST_F(RunDb, TakesSeveritiesOfAnotherTool) {
   execute(foreign_run);
   execute(
       "INSERT INTO events VALUES(1,NULL,'warn','a',NULL,'x'),(2,NULL,NULL,'b',NULL,NULL),"
-      "(3,NULL,'error','c',NULL,'y');");
+      "(3,NULL,'error','c',NULL,'y'),(4,NULL,'Warning','d',NULL,'y'),(5,NULL,'CRITICAL','e',NULL,'"
+      "y'),"
+      "(6,NULL,'notice','f',NULL,'y');");
   const RunRecord run = read_run(file());
-  ASSERT_EQ(run.events.size(), 3u);
+  ASSERT_EQ(run.events.size(), 6u);
+  EXPECT_EQ(run.events[3].severity, Severity::warning);
+  EXPECT_EQ(run.events[4].severity, Severity::error);
+  EXPECT_EQ(run.events[5].severity, Severity::info);
   EXPECT_EQ(run.events[0].severity, Severity::warning);
   EXPECT_EQ(run.events[1].severity, Severity::info);
   EXPECT_EQ(run.events[2].severity, Severity::error);
+}
+
+TEST_F(RunDb, LeavesOutInfiniteSamplesAndSaysSo) {
+  execute(foreign_run);
+  execute("INSERT INTO samples VALUES(1,10,4),(1,20,9e999),(1,30,-9e999),(1,40,5);");
+  const RunRecord run = read_run(file());
+  EXPECT_EQ(run.series.at(1).value, (std::vector<double>{4, 5}));
+  ASSERT_EQ(run.events.size(), 1u);
+  EXPECT_EQ(run.events[0].kind, "sensor-bad-value");
+  EXPECT_EQ(run.events[0].channel_id, 1);
+  EXPECT_EQ(run.events[0].t_ns, 20);
+  EXPECT_THAT(run.events[0].text, HasSubstr("2 of its samples"));
 }
 
 TEST_F(RunDb, TakesWhatAnotherToolKnowsOfChannels) {
