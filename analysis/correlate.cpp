@@ -601,6 +601,25 @@ class Study {
     return result;
   }
 
+  [[nodiscard]] Series without_trends(Series series) const {
+    series.value = design_.residual(series.value, series.present);
+    series.length = std::sqrt(dot(series.value, series.value));
+    return series;
+  }
+
+  /// Trends were taken out of both at the place of each frame. Moved against each other, each lacks
+  /// the trends of another place than the other, and with them a share of what ties it to the
+  /// other: if anything does, both lose those of both places.
+  Candidate lagged_candidate(Kind kind, std::size_t channel,
+                             const ShiftTest::Result& shifts) const {
+    constexpr double chance = 0.05;
+    const Series y = shifted(series_[channel], shifts.lag);
+    if (shifts.lag == 0 || shifts.p_lagged > chance) return candidate(kind, channel, y, shifts);
+    const Series x = shifted(without_trends(shifted(*kind.x, -shifts.lag)), shifts.lag);
+    kind.x = &x;
+    return candidate(kind, channel, without_trends(y), shifts);
+  }
+
   /// The typical time between a frame and the one `lag` later in its trial.
   [[nodiscard]] double lag_ms(std::ptrdiff_t lag) const {
     const auto step = static_cast<std::size_t>(std::abs(lag));
@@ -669,7 +688,7 @@ class Study {
         rows.push_back(candidate(time_kind, c, series_[c], times[k]));
         rows.back().drift = drift(c);
         if (max_lag_ > 0) {
-          rows.push_back(candidate(lag_kind, c, shifted(series_[c], times[k].lag), times[k]));
+          rows.push_back(lagged_candidate(lag_kind, c, times[k]));
           rows.back().row.lag_ms = lag_ms(times[k].lag);
           rows.back().drift = drift(c);
         }
