@@ -8,6 +8,7 @@
 #include <cassert>
 #include <cmath>
 #include <map>
+#include <numbers>
 #include <numeric>
 
 #include "analysis/format.h"
@@ -256,13 +257,15 @@ std::optional<double> coefficient(const Series& x, const Series& y) {
 }
 
 /// Adds to `influence` what each frame does to the ranks of the others: a frame with a low value
-/// raises the ranks of all above it, and so moves the sum by what those have in `other`.
+/// raises the ranks of all above it, and so moves the sum by what those have in `other`. All ranks
+/// of a cell together never change: what its frames do on average is taken off.
 void add_rank_influence(const Series& ranked, std::span<const double> other, double scale,
                         std::vector<double>& influence) {
+  std::vector<double> above_each(ranked.order.size());  // by place in the order
   std::size_t begin = 0;
   for (std::size_t end : ranked.order_ends) {
-    const auto count = static_cast<double>(end - begin);
     double above = 0;
+    double sum = 0;
     for (std::size_t last = end; last > begin;) {
       std::size_t first = last;
       while (first > begin &&
@@ -270,63 +273,112 @@ void add_rank_influence(const Series& ranked, std::span<const double> other, dou
         --first;
       double equal = 0;
       for (std::size_t k = first; k < last; ++k) equal += other[ranked.order[k]];
-      for (std::size_t k = first; k < last; ++k)
-        influence[ranked.order[k]] += scale * std::sqrt(12.0) * (above + equal / 2) / count;
+      for (std::size_t k = first; k < last; ++k) above_each[k] = above + equal / 2;
+      sum += static_cast<double>(last - first) * (above + equal / 2);
       above += equal;
       last = first;
     }
+    const auto count = static_cast<double>(end - begin);
+    for (std::size_t k = begin; k < end; ++k)
+      influence[ranked.order[k]] += scale * std::sqrt(12.0) * (above_each[k] - sum / count) / count;
     begin = end;
   }
 }
 
-/// Standard error of the mean of a series whose elements depend on their neighbours, and how many
-/// independent blocks it rests on. That of the moving-block bootstrap, which has a closed form: the
-/// spread of the means of all blocks. Blocks are as long as suits an autoregressive series of this
-/// lag-1 correlation.
-///
-/// See "The Jackknife and the Bootstrap for General Stationary Observations", by H. Künsch, Annals
-/// of Statistics 17(3), 1989; "Automatic Block-Length Selection for the Dependent Bootstrap", by D.
-/// Politis and H. White, Econometric Reviews 23(1), 2004.
-struct BlockError {
-  double standard_error = 0;
-  double block_count = 0;
-};
-BlockError block_error(std::span<const double> values) {
-  const std::size_t n = values.size();
-  const double centre = mean(values);
-  double variance = 0;
-  double neighbours = 0;
-  for (std::size_t i = 0; i < n; ++i) {
-    variance += (values[i] - centre) * (values[i] - centre);
-    if (i > 0) neighbours += (values[i] - centre) * (values[i - 1] - centre);
-  }
-  const double rho = variance > 0 ? std::clamp(neighbours / variance, 0.0, 0.97) : 0.0;
-  const double stretch = std::cbrt(6 * rho * rho / std::pow(1 - rho * rho, 2));
-  const double wanted = std::cbrt(static_cast<double>(n)) * stretch;
-  const auto block = static_cast<std::size_t>(
-      std::clamp(std::ceil(wanted), 1.0, std::max(1.0, static_cast<double>(n) / 8)));
-  double sum = 0;
-  double squares = 0;
-  std::size_t count = 0;
-  for (std::size_t i = 0; i < n; ++i) {
-    sum += values[i] - centre;
-    if (i >= block) sum -= values[i - block] - centre;
-    if (i + 1 < block) continue;
-    squares += sum * sum;
-    ++count;
-  }
-  const double blocks = static_cast<double>(n) / static_cast<double>(block);
-  // The mean of all blocks' deviations is taken from the same data: one block is lost to it.
-  const double correction = blocks > 1 ? blocks / (blocks - 1) : 1;
-  return {std::sqrt(squares / static_cast<double>(count) / static_cast<double>(block) /
-                    static_cast<double>(n) * correction),
-          blocks};
+/// The means of consecutive values, fewer but not few: what is alike over long times stands out
+/// from what differs from one value to the next.
+std::vector<double> thinned(std::span<const double> values) {
+  const double wanted = 4 * std::sqrt(static_cast<double>(values.size()));
+  const auto width =
+      static_cast<std::size_t>(std::max(1.0, static_cast<double>(values.size()) / wanted));
+  std::vector<double> means;
+  for (std::size_t begin = 0; begin + width <= values.size(); begin += width)
+    means.push_back(mean(values.subspan(begin, width)));
+  return means;
 }
 
-/// 95 % interval of a coefficient, on the scale on which its distribution is nearly normal:
-/// Fisher's z. See "On the 'Probable Error' of a Coefficient of Correlation", by R. A. Fisher,
-/// Metron 1, 1921.
-std::optional<Interval> coefficient_interval(const Series& x, const Series& y, double r) {
+/// Correlations of a series with itself, lag by lag, computed when asked for.
+class Correlogram {
+ public:
+  explicit Correlogram(std::vector<double> values) : values_(std::move(values)) {
+    const double centre = mean(values_);
+    for (double& value : values_) value -= centre;
+  }
+  [[nodiscard]] std::size_t size() const { return values_.size(); }
+  /// Sum of products `lag` apart, by the number of values.
+  double covariance(std::size_t lag) {
+    while (known_.size() <= lag) {
+      const std::span late = std::span(values_).subspan(known_.size());
+      known_.push_back(dot(std::span(values_).first(late.size()), late) /
+                       static_cast<double>(values_.size()));
+    }
+    return known_[lag];
+  }
+  double correlation(std::size_t lag) { return covariance(lag) / covariance(0); }
+
+ private:
+  std::vector<double> values_;
+  std::vector<double> known_;
+};
+
+/// The lag behind which a series is no longer like itself: the next few correlations are what
+/// chance makes of none. At most an eighth of the series.
+std::size_t memory_of(Correlogram& correlogram) {
+  const auto n = static_cast<double>(correlogram.size());
+  const double chance = 2 * std::sqrt(std::log10(n) / n);
+  constexpr std::size_t next = 5;
+  const std::size_t most = std::max<std::size_t>(1, correlogram.size() / 8);
+  std::size_t last = 0;
+  for (std::size_t lag = 1; lag <= last + next && lag <= most; ++lag)
+    if (std::fabs(correlogram.correlation(lag)) > chance) last = lag;
+  return std::max<std::size_t>(last, 1);
+}
+
+/// Standard error of the mean of a series whose elements depend on their neighbours, and the
+/// degrees of freedom it rests on. The correlations with itself are added up under a window that is
+/// flat as far as they reach, so that none of them is taken for smaller than it is.
+///
+/// See "Bias-Corrected Nonparametric Spectral Estimation", by D. Politis and J. Romano, Journal of
+/// Time Series Analysis 16(1), 1995; how far they reach: "Automatic Block-Length Selection for the
+/// Dependent Bootstrap", by D. Politis and H. White, Econometric Reviews 23(1), 2004.
+struct MeanError {
+  double standard_error = 0;
+  double freedom = 0;
+};
+MeanError mean_error(std::span<const double> values) {
+  Correlogram correlogram(thinned(values));
+  const auto n = static_cast<double>(correlogram.size());
+  if (correlogram.covariance(0) <= 0) return {};
+  const std::size_t memory = memory_of(correlogram);
+  const auto width = static_cast<double>(2 * memory);
+  double flat = correlogram.covariance(0);
+  double falling = flat;  // under Bartlett's window, which is never below 0
+  for (std::size_t lag = 1; lag < 2 * memory; ++lag) {
+    const double at = static_cast<double>(lag) / width;
+    flat += 2 * std::min(1.0, 2 * (1 - at)) * correlogram.covariance(lag);
+    falling += 2 * (1 - at) * correlogram.covariance(lag);
+  }
+  // The mean is taken from the same data, which costs each covariance the error of the mean: the
+  // areas under the window and under its square.
+  const double lost = std::min(1.5 * width / n, 0.5);
+  return {std::sqrt(std::max(flat, falling) / (1 - lost) / n), 0.75 * n / width};
+}
+
+/// How certain a coefficient is, on the scale on which its distribution is nearly normal: Fisher's
+/// z. See "On the 'Probable Error' of a Coefficient of Correlation", by R. A. Fisher, Metron 1,
+/// 1921.
+struct Uncertainty {
+  double z = 0;
+  double reach = 0;  // half of a 95 % interval
+  [[nodiscard]] Interval interval() const { return {std::tanh(z - reach), std::tanh(z + reach)}; }
+};
+
+/// `unrelated_error`: the standard error of a coefficient of series as these are, but turned
+/// against each other. Slow series show that more clearly than few frames show how their products
+/// vary. See "Assessing the Significance of the Correlation between Two Spatial Processes", by P.
+/// Clifford, S. Richardson and D. Hémon, Biometrics 45(1), 1989.
+std::optional<Uncertainty> uncertainty(const Series& x, const Series& y, double r,
+                                       double unrelated_error) {
   const auto n = static_cast<double>(x.value.size());
   const double x_scale = std::sqrt(n) / x.length;
   const double y_scale = std::sqrt(n) / y.length;
@@ -348,13 +400,37 @@ std::optional<Interval> coefficient_interval(const Series& x, const Series& y, d
   for (std::size_t i = 0; i < influence.size(); ++i)
     if (x.present[i] && y.present[i]) seen.push_back(influence[i]);
   if (seen.size() < 8 || std::fabs(r) >= 1) return std::nullopt;
-  const BlockError error = block_error(seen);
+  const MeanError error = mean_error(seen);
   const double share = static_cast<double>(seen.size()) / n;
-  if (error.block_count < 2) return std::nullopt;
-  const boost::math::students_t t(error.block_count - 1);
-  const double reach = boost::math::quantile(t, 0.975) * error.standard_error * share / (1 - r * r);
-  const double z = std::atanh(r);
-  return Interval{std::tanh(z - reach), std::tanh(z + reach)};
+  if (error.freedom < 1) return std::nullopt;
+  const boost::math::students_t t(error.freedom);
+  const double standard_error =
+      std::max(error.standard_error * share / (1 - r * r), unrelated_error);
+  const double reach = boost::math::quantile(t, 0.975) * standard_error;
+  return Uncertainty{std::atanh(r), reach};
+}
+
+/// The interval of a coefficient that was chosen as the largest over many lags. Where others could
+/// as well be the largest, it is so by chance in part: the end towards 0 lies further off.
+/// Simultaneous over the lags that an interval of their difference does not rule out, as in "A
+/// Two-Step Method for Testing Many Moment Inequalities", by J. Romano, A. Shaikh and M. Wolf,
+/// Econometrica 82(5), 2014.
+Interval widened(const Uncertainty& best, const ShiftTest::Result& result) {
+  const auto largest =
+      std::max_element(result.sums.begin(), result.sums.end(),
+                       [](double a, double b) { return std::fabs(a) < std::fabs(b); });
+  if (result.sums.size() < 2 || best.z == 0) return best.interval();
+  const double weakest = std::fabs(best.z) - std::numbers::sqrt2 * best.reach;
+  const auto rivals = std::count_if(result.sums.begin(), result.sums.end(), [&](double sum) {
+    return std::atanh(std::fabs(std::tanh(best.z) * sum / *largest)) >= weakest;
+  });
+  // Of independent normal values, the quantile of the largest grows with the logarithm of their
+  // number, nearly.
+  const double factor = 1 + (result.widening - 1) * std::log(static_cast<double>(rivals)) /
+                                std::log(static_cast<double>(result.sums.size()));
+  const double inner = best.reach * factor;
+  if (best.z < 0) return {std::tanh(best.z - best.reach), std::tanh(best.z + inner)};
+  return {std::tanh(best.z - inner), std::tanh(best.z + best.reach)};
 }
 
 /// Everything about one channel that needs the others' p-values before it can be judged.
@@ -464,7 +540,8 @@ class Study {
     double factor = 1;  // from a correlation to the coefficient that is reported
   };
 
-  Candidate candidate(const Kind& kind, std::size_t channel, const Series& y) const {
+  Candidate candidate(const Kind& kind, std::size_t channel, const Series& y,
+                      const ShiftTest::Result& shifts = {}) const {
     Candidate result;
     Correlation& row = result.row;
     row.x = kind.name;
@@ -472,6 +549,8 @@ class Study {
     row.method = kind.method;
     for (std::size_t i = 0; i < design_.size(); ++i)
       if (!y.present.empty() && y.present[i]) ++row.frame_count;
+    result.p = kind.lagged ? shifts.p_lagged : shifts.p;
+    result.smallest_p = 1 / (static_cast<double>(shifts.shift_count) + 1);
     result.blind = blind_[channel];
     if (result.blind.empty() && kind.x == &outliers_ && outlier_count_ < config_.min_outlier_count)
       result.blind = fmt::format("there are too few outliers: {}, and {} are needed",
@@ -481,17 +560,15 @@ class Study {
     if (series_[channel].length > 0 && kind.x->length > 0) {
       if (const auto r = coefficient(*kind.x, y)) {
         row.coefficient = std::clamp(*r * kind.factor, -1.0, 1.0);
-        if (auto interval = coefficient_interval(*kind.x, y, *r))
-          row.interval = Interval{std::clamp(interval->low * kind.factor, -1.0, 1.0),
-                                  std::clamp(interval->high * kind.factor, -1.0, 1.0)};
+        const double unrelated_error = shifts.spread / (kind.x->length * y.length);
+        if (const auto known = uncertainty(*kind.x, y, *r, unrelated_error)) {
+          const Interval interval = kind.lagged ? widened(*known, shifts) : known->interval();
+          row.interval = Interval{std::clamp(interval.low * kind.factor, -1.0, 1.0),
+                                  std::clamp(interval.high * kind.factor, -1.0, 1.0)};
+        }
       }
     }
     return result;
-  }
-
-  static void take(double p, const ShiftTest::Result& result, Candidate& candidate) {
-    candidate.p = p;
-    candidate.smallest_p = 1 / (static_cast<double>(result.shift_count) + 1);
   }
 
   /// How much of a turned series is left once trends are taken out again.
@@ -508,18 +585,39 @@ class Study {
 
   /// y moved towards earlier frames, by `lag`, round the end: as the test has it.
   static Series shifted(const Series& y, std::ptrdiff_t lag) {
-    Series result;
+    Series result = y;
     const auto n = static_cast<std::ptrdiff_t>(y.value.size());
-    result.present.resize(y.present.size());
-    result.value.resize(y.value.size());
+    const auto moved = [n](std::ptrdiff_t i, std::ptrdiff_t by) {
+      return static_cast<std::size_t>(((i + by) % n + n) % n);
+    };
     for (std::ptrdiff_t i = 0; i < n; ++i) {
-      const auto from = static_cast<std::size_t>(((i + lag) % n + n) % n);
-      result.present[static_cast<std::size_t>(i)] = y.present[from];
-      result.value[static_cast<std::size_t>(i)] = y.value[from];
+      const std::size_t from = moved(i, lag);
+      const auto to = static_cast<std::size_t>(i);
+      result.present[to] = y.present[from];
+      result.value[to] = y.value[from];
+      result.raw[to] = y.raw[from];
     }
-    result.length = y.length;
-    result.count = y.count;
+    for (std::size_t& place : result.order) place = moved(static_cast<std::ptrdiff_t>(place), -lag);
     return result;
+  }
+
+  [[nodiscard]] Series without_trends(Series series) const {
+    series.value = design_.residual(series.value, series.present);
+    series.length = std::sqrt(dot(series.value, series.value));
+    return series;
+  }
+
+  /// Trends were taken out of both at the place of each frame. Moved against each other, each lacks
+  /// the trends of another place than the other, and with them a share of what ties it to the
+  /// other: if anything does, both lose those of both places.
+  Candidate lagged_candidate(Kind kind, std::size_t channel,
+                             const ShiftTest::Result& shifts) const {
+    constexpr double chance = 0.05;
+    const Series y = shifted(series_[channel], shifts.lag);
+    if (shifts.lag == 0 || shifts.p_lagged > chance) return candidate(kind, channel, y, shifts);
+    const Series x = shifted(without_trends(shifted(*kind.x, -shifts.lag)), shifts.lag);
+    kind.x = &x;
+    return candidate(kind, channel, without_trends(y), shifts);
   }
 
   /// The typical time between a frame and the one `lag` later in its trial.
@@ -542,7 +640,7 @@ class Study {
                          static_cast<double>(std::max<std::size_t>(1, design_.size()));
     const double binary = 3 * share * (1 - share);
     const Kind time_kind{&time_, "frame_ms", "spearman"};
-    const Kind lag_kind{&time_, "frame_ms", "spearman-lagged"};
+    const Kind lag_kind{&time_, "frame_ms", "spearman-lagged", true};
     // Of an indicator and ranks, the correlation is the rank-biserial one times sqrt(3 p (1 - p)).
     const Kind outlier_kind{&outliers_, "outlier", "rank-biserial", false,
                             binary > 0 ? 1 / std::sqrt(binary) : 1};
@@ -587,23 +685,19 @@ class Study {
       for (std::size_t k = 0; k < (two ? 2u : 1u); ++k) {
         const std::size_t c = k == 0 ? first : second;
         std::vector<Candidate>& rows = by_channel[c];
-        rows.push_back(candidate(time_kind, c, series_[c]));
-        take(times[k].p, times[k], rows.back());
+        rows.push_back(candidate(time_kind, c, series_[c], times[k]));
         rows.back().drift = drift(c);
         if (max_lag_ > 0) {
-          rows.push_back(candidate(lag_kind, c, shifted(series_[c], times[k].lag)));
-          take(times[k].p_lagged, times[k], rows.back());
+          rows.push_back(lagged_candidate(lag_kind, c, times[k]));
           rows.back().row.lag_ms = lag_ms(times[k].lag);
           rows.back().drift = drift(c);
         }
         if (temperature_ && *temperature_ != c) {
-          rows.push_back(candidate(partial_kind, c, given_channel[k]));
-          take(partials[k].p, partials[k], rows.back());
+          rows.push_back(candidate(partial_kind, c, given_channel[k], partials[k]));
           if (given_channel[k].length == 0)
             rows.back().blind = "given the temperature it does not change any more";
         }
-        rows.push_back(candidate(outlier_kind, c, series_[c]));
-        take(outliers[k].p, outliers[k], rows.back());
+        rows.push_back(candidate(outlier_kind, c, series_[c], outliers[k]));
       }
     });
     for (std::vector<Candidate>& rows : by_channel)

@@ -27,6 +27,10 @@ constexpr std::size_t max_windows_per_trial = 8;
 constexpr std::size_t max_windows_per_idle = 8;
 constexpr std::size_t max_block_count = 100;
 constexpr std::size_t regression_replicate_count = 300;
+/// Fewer say nothing about their own scatter.
+constexpr std::size_t min_equations_per_unknown = 3;
+/// Of an update, to either side: a counter read twice as often as it moves.
+constexpr double max_blur_ratio = 0.3;
 /// Of an idle stretch left out at each end: what came before it fades.
 constexpr double idle_margin_ratio = 0.05;
 /// What has to be left of it.
@@ -520,7 +524,6 @@ class Pricing {
   struct Equations {
     std::size_t width = 0;                      // rows, and the idle power behind them
     std::vector<std::vector<double>> ata, atb;  // by block
-    std::vector<double> exposure;               // frames by row
     std::vector<std::set<std::size_t>> blocks;  // by row
     std::size_t count = 0;
   };
@@ -529,7 +532,6 @@ class Pricing {
     if (equations_) return;
     Equations e;
     e.width = plan_.rows.size() + 1;
-    e.exposure.resize(plan_.rows.size());
     e.blocks.resize(plan_.rows.size());
     const std::size_t block_count =
         std::min(max_block_count, std::max<std::size_t>(plan_.stretches.size(), 1));
@@ -575,54 +577,119 @@ class Pricing {
               [](const Stretch& a, const Stretch& b) { return a.begin_ns < b.begin_ns; });
 
     const std::vector<int64_t>& t_ns = curve_.t_ns();
-    std::vector<double> frames_in(e.width, 0.0);
+    std::vector<Update> updates;
     std::size_t span = 0;
     std::size_t quiet = 0;
+    const auto overlaps_work = [&](int64_t begin_ns, int64_t end_ns) {
+      std::size_t k = span;
+      while (k < spans.size() && spans[k].end_ns <= begin_ns) ++k;
+      return k < spans.size() && spans[k].begin_ns < end_ns;
+    };
     for (std::size_t i = 1; i < t_ns.size(); ++i) {
-      const int64_t begin_ns = t_ns[i - 1];
-      const int64_t end_ns = t_ns[i];
-      while (span < spans.size() && spans[span].end_ns <= begin_ns) ++span;
-      while (quiet < rest.size() && rest[quiet].end_ns <= begin_ns) ++quiet;
-      if (curve_.is_broken(i)) continue;
-      std::fill(frames_in.begin(), frames_in.end(), 0.0);
+      Update& update = updates.emplace_back();
+      update.begin_ns = t_ns[i - 1];
+      update.end_ns = t_ns[i];
+      while (span < spans.size() && spans[span].end_ns <= update.begin_ns) ++span;
+      while (quiet < rest.size() && rest[quiet].end_ns <= update.begin_ns) ++quiet;
       int64_t known_ns = 0;
-      bool foreign = false;
-      std::vector<std::size_t> used;
-      for (std::size_t k = span; k < spans.size() && spans[k].begin_ns < end_ns; ++k) {
+      bool foreign = curve_.is_broken(i);
+      for (std::size_t k = span; k < spans.size() && spans[k].begin_ns < update.end_ns; ++k) {
         const int64_t overlap_ns =
-            std::min(end_ns, spans[k].end_ns) - std::max(begin_ns, spans[k].begin_ns);
+            std::min(update.end_ns, spans[k].end_ns) - std::max(update.begin_ns, spans[k].begin_ns);
         if (overlap_ns <= 0) continue;
         known_ns += overlap_ns;
-        if (!spans[k].row) {
-          foreign = true;
-          break;
-        }
-        if (frames_in[*spans[k].row] == 0) used.push_back(*spans[k].row);
-        frames_in[*spans[k].row] += static_cast<double>(overlap_ns) * spans[k].frames_per_ns;
+        update.quiet = false;
+        foreign = foreign || !spans[k].row;
+        if (spans[k].row)
+          update.frames[*spans[k].row] += static_cast<double>(overlap_ns) * spans[k].frames_per_ns;
       }
-      for (std::size_t k = quiet; k < rest.size() && rest[k].begin_ns < end_ns; ++k)
-        known_ns += std::max<int64_t>(
-            0, std::min(end_ns, rest[k].end_ns) - std::max(begin_ns, rest[k].begin_ns));
-      if (foreign || known_ns * 20 < (end_ns - begin_ns) * 19) continue;
-      const double joules = curve_.joules()[i] - curve_.joules()[i - 1];
-      // Power at rest is one unknown; what is known of its course over the run is its shape.
-      const double rest_j =
-          idle_.empty() ? 0 : IdleBaseline::joules(idle_.shape(begin_ns, end_ns), idle_.terms());
-      frames_in.back() = rest_j > 0 ? rest_j / idle_.mean_w() : seconds(end_ns - begin_ns);
-      used.push_back(e.width - 1);
-      const std::size_t block = block_at(begin_ns, block_count);
-      for (std::size_t a : used) {
-        for (std::size_t b : used) e.ata[block][a * e.width + b] += frames_in[a] * frames_in[b];
-        e.atb[block][a] += frames_in[a] * joules;
-        if (a + 1 < e.width) {
-          e.exposure[a] += frames_in[a];
-          e.blocks[a].insert(block);
-        }
-      }
-      ++e.count;
+      for (std::size_t k = quiet; k < rest.size() && rest[k].begin_ns < update.end_ns; ++k)
+        known_ns += std::max<int64_t>(0, std::min(update.end_ns, rest[k].end_ns) -
+                                             std::max(update.begin_ns, rest[k].begin_ns));
+      update.known = !foreign && known_ns * 20 >= (update.end_ns - update.begin_ns) * 19;
+      update.joules = curve_.joules()[i] - curve_.joules()[i - 1];
+      update.blur_ns = curve_.blur_ns()[i];
+      update.begins_calmly = i > 1 && updates[i - 2].ends_calmly;
+      update.ends_calmly = !overlaps_work(t_ns[i] - update.blur_ns, t_ns[i] + update.blur_ns);
     }
+    add_updates(updates, e);
     solve(e);
     equations_ = std::move(e);
+  }
+
+  /// What is known about the time between two updates of the counter.
+  struct Update {
+    int64_t begin_ns = 0;
+    int64_t end_ns = 0;
+    bool known = false;          // all that was done then
+    bool quiet = true;           // no frame
+    bool begins_calmly = false;  // nor where its begin may really have been
+    bool ends_calmly = false;
+    int64_t blur_ns = 0;                   // how far off its end may be
+    std::map<std::size_t, double> frames;  // by row
+    double joules = 0;
+  };
+
+  /// When exactly the counter moved is known to a poll. Where frames run at that time, that blurs
+  /// how many of them an update has, and what they cost would come out too small: the bias of an
+  /// explanatory variable that is itself uncertain ("Measurement Error Models", by W. Fuller, Wiley
+  /// 1987, section 1.1). So equations reach from one update at rest to another, if there are any.
+  void add_updates(const std::vector<Update>& updates, Equations& e) const {
+    std::optional<Update> sum;
+    const auto finish = [&] {
+      if (sum && !leans(*sum)) add_equation(*sum, e);
+      sum.reset();
+    };
+    for (std::size_t i = 0; i < updates.size(); ++i) {
+      const Update& update = updates[i];
+      if (!update.known) {
+        finish();
+        continue;
+      }
+      if (sum)
+        extend(*sum, update);
+      else
+        sum = update;
+      const bool work_follows = i + 1 < updates.size() && !updates[i + 1].quiet;
+      const bool is_between = update.ends_calmly && (!sum->quiet || work_follows);
+      if (is_between || sum->end_ns - sum->begin_ns >= window_ns_) finish();
+    }
+    finish();
+  }
+
+  /// Whether only one end is blurred, and so much that all of a run may lean to the same side: what
+  /// reads the counter as often as it moves, meets it in the same phase all the time.
+  [[nodiscard]] bool leans(const Update& update) const {
+    return update.begins_calmly != update.ends_calmly &&
+           static_cast<double>(update.blur_ns) >
+               max_blur_ratio * static_cast<double>(curve_.update_ns());
+  }
+
+  static void extend(Update& sum, const Update& next) {
+    sum.end_ns = next.end_ns;
+    sum.ends_calmly = next.ends_calmly;
+    sum.blur_ns = std::max(sum.blur_ns, next.blur_ns);
+    sum.quiet = sum.quiet && next.quiet;
+    sum.joules += next.joules;
+    for (const auto& [row, frames] : next.frames) sum.frames[row] += frames;
+  }
+
+  void add_equation(const Update& update, Equations& e) const {
+    // Power at rest is one unknown; what is known of its course over the run is its shape.
+    const double rest_j =
+        idle_.empty()
+            ? 0
+            : IdleBaseline::joules(idle_.shape(update.begin_ns, update.end_ns), idle_.terms());
+    std::map<std::size_t, double> amounts = update.frames;
+    amounts[e.width - 1] =
+        rest_j > 0 ? rest_j / idle_.mean_w() : seconds(update.end_ns - update.begin_ns);
+    const std::size_t block = block_at(update.end_ns - 1, e.ata.size());
+    ++e.count;
+    for (const auto& [a, amount] : amounts) {
+      for (const auto& [b, other] : amounts) e.ata[block][a * e.width + b] += amount * other;
+      e.atb[block][a] += amount * update.joules;
+      if (a + 1 < e.width) e.blocks[a].insert(block);
+    }
   }
 
   /// The block of the last trial that begins before t_ns.
@@ -660,7 +727,8 @@ class Pricing {
   bool price_by_regression(std::size_t r, EnergyRow& row) {
     make_equations();
     const Equations& e = *equations_;
-    if (!solution_ || e.blocks[r].size() < 4 || solutions_.size() < regression_replicate_count / 2)
+    if (!solution_ || e.blocks[r].size() < 4 || e.count < min_equations_per_unknown * e.width ||
+        solutions_.size() < regression_replicate_count / 2)
       return false;
     const double base_w = solution_->back();
     double stretch_s = 0;

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <utility>
 
 #include "analysis/series.h"
@@ -58,7 +59,9 @@ void EnergyCurve::read_counter(const Channel& channel, const SampleSeries& serie
       }
     if (broken) ++break_count_;
     if (readings.value[i] == readings.value[i - 1] && !broken) continue;
-    t_ns_.push_back(readings.t_ns[i]);
+    // It moved at some time since the reading before: half way is right on average.
+    t_ns_.push_back(std::midpoint(readings.t_ns[i - 1], readings.t_ns[i]));
+    blur_ns_.push_back(readings.t_ns[i] - t_ns_.back());
     joules_.push_back(total.value[i] * factor);
     breaks_until_.push_back(break_count_);
   }
@@ -82,6 +85,7 @@ void EnergyCurve::read_power(const Channel& channel, const SampleSeries& series)
     }
     // A reading that repeats the last one is no update, but while power is steady it says so.
     t_ns_.push_back(readings.t_ns[i]);
+    blur_ns_.push_back(poll_ns / 2);
     joules_.push_back(total_j);
     breaks_until_.push_back(break_count_);
   }

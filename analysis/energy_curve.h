@@ -45,6 +45,8 @@ class EnergyCurve {
   /// ends at each is known.
   [[nodiscard]] const std::vector<int64_t>& t_ns() const { return t_ns_; }
   [[nodiscard]] const std::vector<double>& joules() const { return joules_; }
+  /// How far from its time each update may really have been, to either side.
+  [[nodiscard]] const std::vector<int64_t>& blur_ns() const { return blur_ns_; }
   [[nodiscard]] bool is_broken(std::size_t i) const {
     return i > 0 && breaks_until_[i] > breaks_until_[i - 1];
   }
@@ -55,6 +57,7 @@ class EnergyCurve {
 
   std::vector<int64_t> t_ns_;
   std::vector<double> joules_;
+  std::vector<int64_t> blur_ns_;
   std::vector<std::size_t> breaks_until_;
   std::size_t break_count_ = 0;
   int64_t update_ns_ = 0;

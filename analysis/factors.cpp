@@ -4,9 +4,11 @@
 
 #include <algorithm>
 #include <bit>
+#include <boost/math/distributions/beta.hpp>
+#include <boost/math/distributions/students_t.hpp>
 #include <cmath>
 #include <numeric>
-#include <random>
+#include <span>
 
 #include "analysis/format.h"
 
@@ -84,8 +86,12 @@ double explained(const CorrelationMatrix& c, std::size_t set) {
   return std::clamp(sum, 0.0, 1.0);
 }
 
-/// The share of each factor; they add up to R^2 of all.
-std::vector<double> shares(const CorrelationMatrix& c) {
+/// By factor.
+struct Shares {
+  std::vector<double> share;  // they add up to R^2 of all
+  std::vector<double> left;   // what the factors before it leave unexplained, on average
+};
+Shares shares(const CorrelationMatrix& c) {
   const std::size_t set_count = std::size_t{1} << c.count;
   std::vector<double> r2(set_count);
   for (std::size_t set = 1; set < set_count; ++set) r2[set] = explained(c, set);
@@ -95,15 +101,42 @@ std::vector<double> shares(const CorrelationMatrix& c) {
     weight[k] = std::exp(std::lgamma(static_cast<double>(k) + 1) +
                          std::lgamma(static_cast<double>(c.count - k)) -
                          std::lgamma(static_cast<double>(c.count) + 1));
-  std::vector<double> result(c.count, 0.0);
+  Shares result{std::vector<double>(c.count, 0.0), std::vector<double>(c.count, 0.0)};
   for (std::size_t k = 0; k < c.count; ++k) {
     const std::size_t bit = std::size_t{1} << k;
-    for (std::size_t set = 0; set < set_count; ++set)
-      if ((set & bit) == 0)
-        result[k] +=
-            weight[static_cast<std::size_t>(std::popcount(set))] * (r2[set | bit] - r2[set]);
+    for (std::size_t set = 0; set < set_count; ++set) {
+      if ((set & bit) != 0) continue;
+      const double orders = weight[static_cast<std::size_t>(std::popcount(set))];
+      result.share[k] += orders * (r2[set | bit] - r2[set]);
+      result.left[k] += orders * (1 - r2[set]);
+    }
   }
   return result;
+}
+
+/// The size of a correlation whose square is the share, on the scale on which those are nearly
+/// normal: Fisher's z.
+double z_of(double share) { return std::atanh(std::sqrt(std::clamp(share, 0.0, 1 - 1e-9))); }
+double share_of(double z) { return std::pow(std::tanh(std::max(z, 0.0)), 2); }
+
+/// 95 % interval of a share, from what it is when each of the cells is left out in turn: "Bias and
+/// Confidence in Not-Quite Large Samples", by J. Tukey, Annals of Mathematical Statistics 29(2),
+/// 1958.
+Interval jackknife_interval(double share, std::span<const double> without_one, double freedom) {
+  std::vector<double> z;
+  for (double value : without_one) z.push_back(z_of(value));
+  const auto count = static_cast<double>(z.size());
+  const double standard_error = stddev(z).value_or(0) * (count - 1) / std::sqrt(count);
+  const boost::math::students_t t(std::max(freedom, 1.0));
+  const double reach = boost::math::quantile(t, 0.975) * standard_error;
+  return {share_of(z_of(share) - reach), share_of(z_of(share) + reach)};
+}
+
+/// The largest share that chance gives a factor which has nothing to do with the response: what is
+/// left for it, times the square of a correlation of independent values.
+double chance_share(double left, double freedom) {
+  const boost::math::beta_distribution<double> squared(0.5, std::max(freedom, 1.0) / 2);
+  return left * boost::math::quantile(squared, 0.975);
 }
 
 struct Split {
@@ -112,25 +145,30 @@ struct Split {
   std::vector<Interval> interval;
 };
 
-std::optional<Split> split(const std::vector<Row>& rows, const FactorConfig& config) {
+std::optional<Split> split(const std::vector<Row>& rows) {
   std::vector<std::size_t> all(rows.size());
   std::iota(all.begin(), all.end(), std::size_t{0});
   const auto c = correlation_matrix(rows, all);
   if (!c) return std::nullopt;
-  Split result;
-  result.share = shares(*c);
-  result.explained = std::accumulate(result.share.begin(), result.share.end(), 0.0);
-  std::mt19937_64 random(config.seed);
-  std::vector<std::vector<double>> replicates(c->count);
-  for (std::size_t replicate = 0; replicate < config.replicate_count; ++replicate) {
-    for (std::size_t& i : all) i = random() % rows.size();
-    const auto drawn = correlation_matrix(rows, all);
-    if (!drawn) continue;
-    const std::vector<double> share = shares(*drawn);
-    for (std::size_t k = 0; k < share.size(); ++k) replicates[k].push_back(share[k]);
+  const Shares seen = shares(*c);
+  std::vector<std::vector<double>> without_one(c->count);
+  for (std::size_t out = 0; out < rows.size(); ++out) {
+    std::vector<std::size_t> others = all;
+    others.erase(others.begin() + static_cast<std::ptrdiff_t>(out));
+    const auto c_others = correlation_matrix(rows, others);
+    if (!c_others) continue;
+    const std::vector<double> share = shares(*c_others).share;
+    for (std::size_t k = 0; k < share.size(); ++k) without_one[k].push_back(share[k]);
   }
-  for (const std::vector<double>& values : replicates)
-    result.interval.push_back(values.empty() ? Interval{0, 1} : percentile_interval(values));
+  Split result;
+  result.share = seen.share;
+  result.explained = std::accumulate(seen.share.begin(), seen.share.end(), 0.0);
+  const auto freedom = static_cast<double>(rows.size()) - static_cast<double>(c->count) - 1;
+  for (std::size_t k = 0; k < c->count; ++k) {
+    Interval interval = jackknife_interval(seen.share[k], without_one[k], freedom);
+    if (seen.share[k] <= chance_share(seen.left[k], freedom)) interval.low = 0;
+    result.interval.push_back(interval);
+  }
   return result;
 }
 
@@ -223,7 +261,7 @@ FactorReport explain(std::span<const FactorName> names, std::span<const FactorCe
     return report;
   }
 
-  if (const auto time = split(time_rows, config)) {
+  if (const auto time = split(time_rows)) {
     report.explained_time_ratio = time->explained;
     for (std::size_t i = 0; i < used.size(); ++i) {
       report.factors[used[i]].share_of_time_variance = time->share[i];
@@ -233,7 +271,7 @@ FactorReport explain(std::span<const FactorName> names, std::span<const FactorCe
     report.notes.emplace_back("Every cell takes the same time: there is nothing to explain.");
   }
   if (energy_rows.size() >= needed) {
-    if (const auto energy = split(energy_rows, config)) {
+    if (const auto energy = split(energy_rows)) {
       report.explained_energy_ratio = energy->explained;
       for (std::size_t i = 0; i < used.size(); ++i) {
         report.factors[used[i]].share_of_energy_variance = energy->share[i];

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <cstddef>
-#include <cstdint>
 #include <optional>
 #include <span>
 #include <string>
@@ -48,8 +47,6 @@ struct FactorReport {
 struct FactorConfig {
   std::size_t spare_cell_count = 4;  ///< cells needed beyond one per factor
   double max_variance_inflation = 10;
-  std::size_t replicate_count = 500;
-  uint64_t seed = 1;
 };
 
 /// Fits log time and log energy as a linear model of the factors and splits R^2 between them: each

@@ -34,6 +34,22 @@ std::vector<double> circular_maximum(const std::vector<double>& sums, std::size_
   return largest;
 }
 
+double root_mean_square(std::span<const double> values) {
+  if (values.empty()) return 0;
+  const double squares = std::inner_product(values.begin(), values.end(), values.begin(), 0.0);
+  return std::sqrt(squares / static_cast<double>(values.size()));
+}
+
+/// The ratio of the 95 % quantiles of sizes that belong together.
+double widening_of(std::vector<double> largest, std::vector<double> single) {
+  if (single.empty()) return 1;
+  const auto at = static_cast<std::ptrdiff_t>(0.95 * static_cast<double>(single.size() - 1));
+  for (std::vector<double>* sizes : {&largest, &single})
+    std::nth_element(sizes->begin(), sizes->begin() + at, sizes->end());
+  const auto place = static_cast<std::size_t>(at);
+  return single[place] > 0 ? largest[place] / single[place] : 1;
+}
+
 }  // namespace
 
 ShiftTest::ShiftTest(std::vector<std::size_t> trial_lengths, Config config) : config_(config) {
@@ -127,17 +143,27 @@ ShiftTest::Result ShiftTest::judge_whole(const std::vector<double>& sums,
     const auto index = static_cast<std::size_t>(at + static_cast<std::ptrdiff_t>(n)) % n;
     const auto best = static_cast<std::size_t>(result.lag + static_cast<std::ptrdiff_t>(n)) % n;
     if (std::fabs(sums[index]) > std::fabs(sums[best])) result.lag = at;
+    result.sums.push_back(sums[index]);
   }
   std::size_t reached = 0;
   std::size_t reached_lagged = 0;
+  std::vector<double> single;
+  std::vector<double> over_lags;
+  const std::size_t stride = 1 + n / 10'000;  // enough for a quantile
   for (std::size_t s = near + 1; s + near < n; ++s) {
     ++result.shift_count;
+    if (s % stride == 0) {
+      single.push_back(std::fabs(sums[s]));
+      over_lags.push_back(around(s));
+    }
     if (reaches(std::fabs(sums[s]), observed)) ++reached;
     if (reaches(around(s), observed_lagged)) ++reached_lagged;
   }
   const double all = static_cast<double>(result.shift_count) + 1;
   result.p = static_cast<double>(reached + 1) / all;
   result.p_lagged = static_cast<double>(reached_lagged + 1) / all;
+  result.spread = root_mean_square(single) / turned_length;
+  result.widening = widening_of(std::move(over_lags), std::move(single));
   return result;
 }
 
@@ -199,12 +225,15 @@ ShiftTest::Result ShiftTest::Prepared::in_trials(std::span<const double> y,
   for (std::size_t l = 0; l < width; ++l)
     if (std::fabs(sums[l]) > std::fabs(sums[best])) best = l;
   result.lag = static_cast<std::ptrdiff_t>(best) - static_cast<std::ptrdiff_t>(lag);
+  result.sums = sums;
 
   const std::size_t rotation_count = std::min(trial_count, max_rotation_count);
   const std::size_t turns_each = (test_.config_.shift_count + rotation_count - 1) / rotation_count;
   std::mt19937_64 random(test_.config_.seed);
   std::size_t reached = 0;
   std::size_t reached_lagged = 0;
+  std::vector<double> single;
+  std::vector<double> over_lags;
   for (std::size_t r = 0; r < rotation_count; ++r) {
     if (r > 0) tabulate(r * trial_count / rotation_count);
     for (std::size_t turn = 0; turn < turns_each; ++turn) {
@@ -214,13 +243,17 @@ ShiftTest::Result ShiftTest::Prepared::in_trials(std::span<const double> y,
         for (std::size_t l = 0; l < width; ++l) sums[l] += row[l];
       }
       ++result.shift_count;
-      if (reaches(std::fabs(sums[lag]), observed)) ++reached;
-      if (reaches(largest(), observed_lagged)) ++reached_lagged;
+      single.push_back(std::fabs(sums[lag]));
+      over_lags.push_back(largest());
+      if (reaches(single.back(), observed)) ++reached;
+      if (reaches(over_lags.back(), observed_lagged)) ++reached_lagged;
     }
   }
   const double all = static_cast<double>(result.shift_count) + 1;
   result.p = static_cast<double>(reached + 1) / all;
   result.p_lagged = static_cast<double>(reached_lagged + 1) / all;
+  result.spread = root_mean_square(single) / turned_length;
+  result.widening = widening_of(std::move(over_lags), std::move(single));
   return result;
 }
 

@@ -37,6 +37,11 @@ class ShiftTest {
     std::ptrdiff_t lag = 0;  ///< where its size is largest: the second series comes later by this
     double p_lagged = 1;     ///< of the largest over all lags
     std::size_t shift_count = 0;  ///< that p rests on
+    std::vector<double> sums;     ///< of products, by lag from -max_lag on
+    /// How much larger the largest sum over all lags is than that of a single one where chance
+    /// alone is at work: the ratio of their 95 % quantiles over all shifts.
+    double widening = 1;
+    double spread = 0;  ///< root of the mean square of a sum without lag, over all shifts of y
   };
 
   /// One series, made ready to be tested against many.

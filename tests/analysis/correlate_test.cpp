@@ -287,30 +287,51 @@ TEST(Correlate, RarelyCallsAnythingRelatedWhereNothingIs) {
   EXPECT_LE(related_count, 10) << "5 % of 200 runs";
 }
 
+/// How many of 300 runs of 600 frames, in which y has to do with frame times, `lag` frames later,
+/// have an interval of the method that holds the true coefficient at the lag they report.
+int covered_count(const std::string& method, double r, double memory, std::size_t lag) {
+  int covered = 0;
+  for (uint64_t seed = 0; seed < test::runs(300); ++seed) {
+    Planted run(seed + 1000);
+    const auto x = drifting(run, 608, memory);
+    const auto z = drifting(run, 600, memory);
+    run.lay(12, 50, [&](std::size_t i) { return std::exp(0.02 * x[i + 8]); });
+    run.add("y", Quantity::power,
+            [&](std::size_t i) { return r * x[i + 8 - lag] + std::sqrt(1 - r * r) * z[i]; });
+    CorrelateConfig config;
+    config.shift_count = 100;
+    const Correlation row =
+        find(correlate(run.frames, run.outlier, run.throttled, run.channels, config), method, "y");
+    // Frames of three cells take 4 to 10 ms, 7 in the middle.
+    const double off = std::fabs(std::round(row.lag_ms.value_or(0) / 7) - static_cast<double>(lag));
+    // Normal pairs of correlation r have Spearman's 6 / pi asin(r / 2).
+    const double at_lag = off == 0 ? r : r * std::pow(memory, off);
+    const double truth = 6 / std::acos(-1.0) * std::asin(at_lag / 2);
+    if (row.interval->low <= truth && truth <= row.interval->high) ++covered;
+  }
+  return covered;
+}
+
 TEST(Correlate, IntervalsCoverTheTrueCoefficient) {
-  // Normal pairs of correlation r have Spearman's 6 / pi asin(r / 2).
   for (double r : {0.0, 0.3, 0.7, 0.9}) {
-    for (double memory : {0.0, 0.6}) {
+    for (double memory : {0.0, 0.6, 0.9}) {
       SCOPED_TRACE(testing::Message() << "r " << r << ", memory " << memory);
-      const double truth = 6 / std::acos(-1.0) * std::asin(r / 2);
-      int covered = 0;
-      for (uint64_t seed = 0; seed < test::runs(300); ++seed) {
-        Planted run(seed + 1000);
-        const auto x = drifting(run, 600, memory);
-        const auto z = drifting(run, 600, memory);
-        run.lay(12, 50, [&](std::size_t i) { return std::exp(0.1 * x[i]); });
-        run.add("y", Quantity::power,
-                [&](std::size_t i) { return r * x[i] + std::sqrt(1 - r * r) * z[i]; });
-        CorrelateConfig config;
-        config.shift_count = 100;
-        const Correlations all =
-            correlate(run.frames, run.outlier, run.throttled, run.channels, config);
-        const Interval interval = *find(all, "spearman", "y").interval;
-        if (interval.low <= truth && truth <= interval.high) ++covered;
-      }
+      const int covered = covered_count("spearman", r, memory, 0);
       if (test::is_sanitized) continue;
       EXPECT_GE(covered, 0.92 * 300);
       EXPECT_LE(covered, 0.985 * 300);
+    }
+  }
+}
+
+TEST(Correlate, IntervalsAllowForTheChoiceOfTheLag) {
+  for (double r : {0.0, 0.15, 0.85}) {
+    for (double memory : {0.0, 0.6}) {
+      SCOPED_TRACE(testing::Message() << "r " << r << ", memory " << memory);
+      const int covered = covered_count("spearman-lagged", r, memory, 3);
+      if (test::is_sanitized) continue;
+      EXPECT_GE(covered, 0.92 * 300);
+      EXPECT_LE(covered, 0.99 * 300);
     }
   }
 }

@@ -110,25 +110,34 @@ TEST(Factors, ThatAreUnknownOrConstantAreLeftOut) {
 }
 
 TEST(Factors, IntervalsHoldThePlantedShares) {
-  // time = 1.5 a + 0.5 b + noise of 0.5: shares 2.25, 0.25 of 2.75. Percentile intervals of shares
-  // near 0 are known to lie a little high: 90 %, not 95 %.
-  int covered = 0;
-  for (uint64_t seed = 0; seed < test::runs(200); ++seed) {
-    std::mt19937_64 random(seed);
-    std::normal_distribution<double> normal;
-    std::vector<FactorCell> cells;
-    for (int i = 0; i < 60; ++i) {
-      const double a = normal(random);
-      const double b = normal(random);
-      cells.push_back(cell(a, b, 1.5 * a + 0.5 * b + 0.5 * normal(random)));
+  // time = 1.5 a + b + noise of 0.5, without a third factor: shares 2.25, 1 and 0 of 3.5. With few
+  // cells, too.
+  const std::vector<FactorName> names{{"nodes"}, {"misses"}, {"idle talk"}};
+  const std::vector<double> truth{2.25 / 3.5, 1 / 3.5, 0};
+  for (int cell_count : {9, 60}) {
+    std::vector<int> covered(truth.size());
+    for (uint64_t seed = 0; seed < test::runs(400); ++seed) {
+      std::mt19937_64 random(seed);
+      std::normal_distribution<double> normal;
+      std::vector<FactorCell> cells;
+      for (int i = 0; i < cell_count; ++i) {
+        const double a = normal(random);
+        const double b = normal(random);
+        cells.push_back(cell(a, b, 1.5 * a + b + 0.5 * normal(random)));
+        cells.back().value.emplace_back(std::exp(normal(random)));
+      }
+      const FactorReport report = explain(names, cells);
+      for (std::size_t k = 0; k < truth.size(); ++k) {
+        const Interval interval = *report.factors[k].time_interval;
+        if (interval.low <= truth[k] && truth[k] <= interval.high) ++covered[k];
+        EXPECT_GE(interval.low, 0);
+        EXPECT_LE(interval.high, 1);
+      }
     }
-    FactorConfig config;
-    config.replicate_count = 300;
-    const Interval interval = *explain(two_names, cells, config).factors[0].time_interval;
-    if (interval.low <= 2.25 / 2.75 && 2.25 / 2.75 <= interval.high) ++covered;
+    if (test::is_sanitized) GTEST_SKIP() << "three runs prove nothing";
+    for (std::size_t k = 0; k < truth.size(); ++k)
+      EXPECT_GE(covered[k], 0.92 * 400) << names[k].name << ", " << cell_count << " cells";
   }
-  if (test::is_sanitized) GTEST_SKIP() << "three runs prove nothing";
-  EXPECT_GE(covered, 180);
 }
 
 }  // namespace
