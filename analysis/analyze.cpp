@@ -344,7 +344,7 @@ std::vector<double> replicate_scores(const std::map<Place, const Cell*>& cells,
     const std::vector<double>& times_ms = cells.at(place)->frame_ms;
     resample.resize(times_ms.size());
     for (double& score : scores) {
-      resample_blocks(times_ms, random, resample);
+      resample_blocks(times_ms, block_of(times_ms.size()), random, resample);
       score += *score_of(resample, config) / static_cast<double>(common.size());
     }
   }

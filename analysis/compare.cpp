@@ -119,16 +119,6 @@ std::size_t block_length(const std::vector<Values>& trials) {
       std::ceil(std::min(std::cbrt(length) * std::max(stretch, 1.0), std::max(length / 3, 1.0))));
 }
 
-/// As many values as `values` has, in blocks of consecutive ones, round the end.
-void draw_blocks(const Values& values, std::size_t block, std::mt19937_64& random,
-                 std::span<double> out) {
-  std::size_t at = 0;
-  for (std::size_t i = 0; i < out.size(); ++i) {
-    at = i % block == 0 ? random() % values.size() : (at + 1) % values.size();
-    out[i] = values[at];
-  }
-}
-
 LogMedian log_median(const std::vector<Values>& trials, std::mt19937_64& random) {
   LogMedian result;
   const Values all = flat(trials);
@@ -140,7 +130,7 @@ LogMedian log_median(const std::vector<Values>& trials, std::mt19937_64& random)
     std::size_t begin = 0;
     for (const Values& trial : trials) {
       if (trial.empty()) continue;
-      draw_blocks(trial, block, random, std::span(drawn).subspan(begin, trial.size()));
+      resample_blocks(trial, block, random, std::span(drawn).subspan(begin, trial.size()));
       begin += trial.size();
     }
     replicates.push_back(std::log(median(drawn)));
@@ -309,8 +299,14 @@ std::string verdict_of(const Comparison& c) {
   const auto& overall = c.cycles ? c.cycles : c.time;
   if (!overall) return "Nothing can be compared: no cell has enough timed frames in both runs.";
   const char* measure = c.cycles ? "cycles" : "time";
+  const auto ratio_of_cell = [&](const ComparedCell& cell) {
+    return c.cycles ? cell.cycles : cell.time;
+  };
+  const auto cell_count = static_cast<std::size_t>(
+      std::count_if(c.cells.begin(), c.cells.end(),
+                    [&](const ComparedCell& cell) { return ratio_of_cell(cell).has_value(); }));
   const std::string numbers =
-      fmt::format("{} over {} ({} to {})", percent(overall->value), counted(c.cells.size(), "cell"),
+      fmt::format("{} over {} ({} to {})", percent(overall->value), counted(cell_count, "cell"),
                   percent(overall->interval.low), percent(overall->interval.high));
   std::string text;
   switch (change_of(*overall)) {
@@ -330,7 +326,7 @@ std::string verdict_of(const Comparison& c) {
   std::size_t slower_count = 0;
   std::size_t faster_count = 0;
   for (const ComparedCell& cell : c.cells) {
-    const auto& ratio = c.cycles ? cell.cycles : cell.time;
+    const auto ratio = ratio_of_cell(cell);
     if (!ratio) continue;
     slower_count += change_of(*ratio) == Change::slower ? 1 : 0;
     faster_count += change_of(*ratio) == Change::faster ? 1 : 0;
@@ -380,6 +376,7 @@ Comparison compare(const RunRecord& run_a, const RunRecord& run_b) {
   std::vector<Pair> cycles;
   std::vector<std::size_t> time_cells;  // into result.cells
   std::vector<std::size_t> cycle_cells;
+  std::vector<std::string> clockless;
   for (const auto& [key, frames_a] : a.cells) {
     const auto found = b.cells.find(key);
     if (found == b.cells.end()) {
@@ -393,10 +390,17 @@ Comparison compare(const RunRecord& run_a, const RunRecord& run_b) {
     cell.frame_count_b = frames_b.frame_count;
     cell.median_a_ms = median(flat(frames_a.ms));
     cell.median_b_ms = median(flat(frames_b.ms));
-    if (std::min(frames_a.frame_count, frames_b.frame_count) < min_frame_count) continue;
+    if (std::min(frames_a.frame_count, frames_b.frame_count) < min_frame_count) {
+      result.notes.push_back(fmt::format("{} has fewer than {} timed frames in one of the runs.",
+                                         cell_name(key), min_frame_count));
+      continue;
+    }
     times.push_back({log_median(frames_a.ms, random), log_median(frames_b.ms, random)});
     time_cells.push_back(result.cells.size() - 1);
-    if (!has_clock(frames_a) || !has_clock(frames_b)) continue;
+    if (!has_clock(frames_a) || !has_clock(frames_b)) {
+      clockless.push_back(cell_name(key));
+      continue;
+    }
     cycles.push_back({log_median(frames_a.cycles, random), log_median(frames_b.cycles, random)});
     cycle_cells.push_back(result.cells.size() - 1);
   }
@@ -412,11 +416,15 @@ Comparison compare(const RunRecord& run_a, const RunRecord& run_b) {
     result.cycles = overall;
   }
 
-  if (!result.cycles && !times.empty())
-    result.notes.emplace_back(
-        "The clock that frames ran at is not known in both runs: a slower clock cannot be told "
-        "from "
-        "slower code.");
+  if (!clockless.empty())
+    result.notes.push_back(fmt::format(
+        "The clock that frames ran at is not known in both runs for {}: a slower clock cannot be "
+        "told from slower code, and times are compared.",
+        cycles.empty()
+            ? "any cell"
+            : clockless.front() + (clockless.size() > 1
+                                       ? fmt::format(" and {} more", clockless.size() - 1)
+                                       : std::string())));
   const auto repeated = [](const Pair& pair) { return pair.a.freedom + pair.b.freedom > 0; };
   if (!times.empty() && std::none_of(times.begin(), times.end(), repeated))
     result.notes.emplace_back(
@@ -445,7 +453,8 @@ SlowerVerdict slower_by(const Comparison& comparison, double percent_limit) {
                                   percent(ratio->value)));
   }
   verdict.slower = !where.empty();
-  const char* measure = verdict.in_cycles ? "in cycles" : "in time, as no clock is known in both";
+  const char* measure =
+      verdict.in_cycles ? "in cycles" : "in time, as the clock is not known throughout";
   if (verdict.slower)
     verdict.text = fmt::format(
         "B is slower than A by more than {:g} %, beyond doubt, {}: {}{}.", percent_limit, measure,

@@ -70,7 +70,7 @@ Comparison compare(const RunRecord& a, const RunRecord& b);
 /// Whether B is slower by more than `percent` beyond doubt: in any cell, or on average.
 struct SlowerVerdict {
   bool slower = false;
-  bool in_cycles = false;  ///< else in time, as no clock is known in both
+  bool in_cycles = false;  ///< else in time, as the clock is not known throughout
   std::string text;
 };
 SlowerVerdict slower_by(const Comparison& comparison, double percent);

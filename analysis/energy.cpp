@@ -113,6 +113,19 @@ double error_ratio(const Estimate& estimate) {
 
 // ---------------------------------------------------------------------------- the plan
 
+/// By time, those that touch made one.
+std::vector<Stretch> merged(std::vector<Stretch> stretches) {
+  std::sort(stretches.begin(), stretches.end(),
+            [](const Stretch& a, const Stretch& b) { return a.begin_ns < b.begin_ns; });
+  std::vector<Stretch> result;
+  for (const Stretch& stretch : stretches)
+    if (!result.empty() && stretch.begin_ns <= result.back().end_ns)
+      result.back().end_ns = std::max(result.back().end_ns, stretch.end_ns);
+    else
+      result.push_back(stretch);
+  return result;
+}
+
 /// Stretches of [begin_ns, end_ns) that no trial and no frame touches.
 std::vector<Stretch> gaps_between_trials(const RunRecord& run, int64_t begin_ns, int64_t end_ns) {
   std::vector<Stretch> busy;
@@ -120,11 +133,9 @@ std::vector<Stretch> gaps_between_trials(const RunRecord& run, int64_t begin_ns,
     if (trial.end_ns) busy.push_back({trial.begin_ns, *trial.end_ns});
   for (const FrameRecord& frame : run.frames)
     busy.push_back({std::min(frame.submit_ns, frame.begin_ns), frame.end_ns});
-  std::sort(busy.begin(), busy.end(),
-            [](const Stretch& a, const Stretch& b) { return a.begin_ns < b.begin_ns; });
   std::vector<Stretch> gaps;
   int64_t free_ns = begin_ns;
-  for (const Stretch& stretch : busy) {
+  for (const Stretch& stretch : merged(std::move(busy))) {
     if (stretch.begin_ns > free_ns) gaps.push_back({free_ns, stretch.begin_ns});
     free_ns = std::max(free_ns, stretch.end_ns);
   }
@@ -207,7 +218,10 @@ class Pricing {
         price_by_windows(r, row);
         row.method = "windows";
       } else if (!price_by_regression(r, row)) {
-        row.refused = too_short(r);
+        row.refused = still_rows_.contains(r)
+                          ? "it did not move in a window while these frames were traced: 0 J is "
+                            "not believed"
+                          : too_short(r);
       } else {
         row.method = "regression";
       }
@@ -308,7 +322,9 @@ class Pricing {
       const int64_t from_ns = frames[first].begin_ns;
       const int64_t to_ns = last < stretch.last ? frames[last].begin_ns : end_ns;
       const auto drawn = curve_.between(from_ns, to_ns);
-      if (drawn && drawn->error_j <= 2 * config_.max_error_ratio * drawn->joules) {
+      if (drawn && drawn->joules <= 0) still_rows_.insert(plan_.row_of_cell[stretch.cell]);
+      if (drawn && drawn->joules > 0 &&
+          drawn->error_j <= 2 * config_.max_error_ratio * drawn->joules) {
         Window window{stretch.cell,
                       drawn->joules,
                       drawn->error_j,
@@ -454,7 +470,7 @@ class Pricing {
     row.gross_joules_per_frame =
         around(sum.joules / sum.frame_count, *stddev(gross), spread.freedom);
     if (const double error = error_ratio(*row.gross_joules_per_frame);
-        error > config_.max_error_ratio) {
+        !(error <= config_.max_error_ratio)) {
       row.gross_joules_per_frame.reset();
       row.refused = too_uncertain("drew", error, sum.length_s);
       return;
@@ -483,7 +499,7 @@ class Pricing {
   /// The net numbers of a row, or why there are none.
   void set_net(EnergyRow& row, const Estimate& joules, std::optional<double> ray_count,
                double frame_s, double traced_s) const {
-    if (const double error = error_ratio(joules); error > config_.max_error_ratio) {
+    if (const double error = error_ratio(joules); !(error <= config_.max_error_ratio)) {
       row.refused = too_uncertain("drew above idle", error, traced_s);
       return;
     }
@@ -500,8 +516,10 @@ class Pricing {
   /// Errors fall with the square root of what is measured.
   [[nodiscard]] std::string too_uncertain(std::string_view what, double error,
                                           double traced_s) const {
-    if (!std::isfinite(error))
-      return fmt::format("what it {} is not above 0: it is lost in what the error may be", what);
+    // Nobody traces a thousand times as long.
+    if (!(error < 30 * config_.max_error_ratio))
+      return fmt::format("what it {} is not clearly above 0: it is lost in what the error may be",
+                         what);
     const double factor = std::pow(error / config_.max_error_ratio, 2);
     return fmt::format(
         "what it {} is known with an error of {:.0f} %, and {:.0f} % is the most. Windows of {} of "
@@ -568,13 +586,15 @@ class Pricing {
     }
     std::sort(spans.begin(), spans.end(),
               [](const Span& a, const Span& b) { return a.begin_ns < b.begin_ns; });
+    // No time is two frames' own: clock errors make frames overlap a little, foreign runs at will.
+    for (std::size_t i = 1; i < spans.size(); ++i)
+      spans[i - 1].end_ns = std::min(spans[i - 1].end_ns, spans[i].begin_ns);
     // Gaps between two frames of a trial are known to be rest, as are the idle stretches.
     std::vector<Stretch> rest = plan_.idle;
     for (std::size_t i = 1; i < spans.size(); ++i)
       if (spans[i].trial_id == spans[i - 1].trial_id && spans[i].begin_ns > spans[i - 1].end_ns)
         rest.push_back({spans[i - 1].end_ns, spans[i].begin_ns});
-    std::sort(rest.begin(), rest.end(),
-              [](const Stretch& a, const Stretch& b) { return a.begin_ns < b.begin_ns; });
+    rest = merged(std::move(rest));
 
     const std::vector<int64_t>& t_ns = curve_.t_ns();
     std::vector<Update> updates;
@@ -674,15 +694,17 @@ class Pricing {
     for (const auto& [row, frames] : next.frames) sum.frames[row] += frames;
   }
 
+  /// How long rest as of the run's mean would last on what rest took from begin_ns to end_ns.
+  [[nodiscard]] double rest_seconds(int64_t begin_ns, int64_t end_ns) const {
+    const double rest_j =
+        idle_.empty() ? 0 : IdleBaseline::joules(idle_.shape(begin_ns, end_ns), idle_.terms());
+    return rest_j > 0 ? rest_j / idle_.mean_w() : seconds(end_ns - begin_ns);
+  }
+
   void add_equation(const Update& update, Equations& e) const {
     // Power at rest is one unknown; what is known of its course over the run is its shape.
-    const double rest_j =
-        idle_.empty()
-            ? 0
-            : IdleBaseline::joules(idle_.shape(update.begin_ns, update.end_ns), idle_.terms());
     std::map<std::size_t, double> amounts = update.frames;
-    amounts[e.width - 1] =
-        rest_j > 0 ? rest_j / idle_.mean_w() : seconds(update.end_ns - update.begin_ns);
+    amounts[e.width - 1] = rest_seconds(update.begin_ns, update.end_ns);
     const std::size_t block = block_at(update.end_ns - 1, e.ata.size());
     ++e.count;
     for (const auto& [a, amount] : amounts) {
@@ -732,37 +754,40 @@ class Pricing {
       return false;
     const double base_w = solution_->back();
     double stretch_s = 0;
+    double rest_s = 0;  // at base_w, as much as the stretches at rest took
     double frame_count = 0;
     double ray_count = 0;
     bool rays_known = true;
     for (const TimedStretch& stretch : plan_.stretches) {
       if (plan_.row_of_cell[stretch.cell] != r) continue;
-      stretch_s +=
-          seconds(plan_.frames[stretch.last - 1].end_ns - plan_.frames[stretch.first].begin_ns);
+      const int64_t begin_ns = plan_.frames[stretch.first].begin_ns;
+      const int64_t end_ns = plan_.frames[stretch.last - 1].end_ns;
+      stretch_s += seconds(end_ns - begin_ns);
+      rest_s += rest_seconds(begin_ns, end_ns);
       frame_count += static_cast<double>(stretch.last - stretch.first);
       for (std::size_t i = stretch.first; i < stretch.last; ++i) {
         rays_known = rays_known && plan_.rays[i] >= 0;
         ray_count += plan_.rays[i];
       }
     }
-    const double length_s = stretch_s / frame_count;
+    const double rest_per_frame_s = rest_s / frame_count;
     std::vector<double> net, gross;
     for (const std::vector<double>& drawn : solutions_) {
       // A draw without this row says nothing about it.
       if (drawn[r] == 0 && (*solution_)[r] > 0) continue;
       net.push_back(drawn[r]);
-      gross.push_back(drawn[r] + drawn.back() * length_s);
+      gross.push_back(drawn[r] + drawn.back() * rest_per_frame_s);
     }
     if (net.size() < regression_replicate_count / 2) return false;
     const double net_j = (*solution_)[r];
-    const double gross_j = net_j + base_w * length_s;
+    const double gross_j = net_j + base_w * rest_per_frame_s;
     const auto block_count = static_cast<double>(e.blocks[r].size());
     const double correction = std::sqrt(block_count / (block_count - 1));
     const double error = *stddev(gross) * correction;
     row.edge_error_ratio = error / gross_j;
     if (!(*row.edge_error_ratio <= config_.max_error_ratio)) return false;
     row.gross_joules_per_frame = around(gross_j, error, block_count - 1);
-    row.idle_w = base_w;
+    row.idle_w = base_w * rest_s / stretch_s;
     row.window_count = e.blocks[r].size();
     set_net(row, around(net_j, *stddev(net) * correction, block_count - 1),
             rays_known ? std::optional(ray_count / frame_count) : std::nullopt,
@@ -802,6 +827,7 @@ class Pricing {
   const EnergyConfig& config_;
   int64_t window_ns_ = 0;
   std::vector<Window> windows_;
+  std::set<std::size_t> still_rows_;  // with a window in which nothing was drawn
   IdleBaseline idle_;
   std::vector<IdleBaseline::Terms> idle_draws_;  // by replicate
   std::optional<Equations> equations_;

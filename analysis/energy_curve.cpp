@@ -7,6 +7,7 @@
 #include <numeric>
 #include <utility>
 
+#include "analysis/format.h"
 #include "analysis/series.h"
 
 namespace energyprof::analysis {
@@ -37,7 +38,11 @@ EnergyCurve::EnergyCurve(const Channel& channel, const SampleSeries& series) {
                            to_string(channel.kind), stored_unit(channel));
   if (!problem_.empty()) return;
   if (t_ns_.size() < 3) {
-    problem_ = series.t_ns.empty() ? "no samples" : "it never moved: unsupported, not 0";
+    problem_ = series.t_ns.empty() ? "no samples"
+               : t_ns_.empty()
+                   ? "it never moved: unsupported, not 0"
+                   : fmt::format("it moved only {}, which is too seldom to tell anything",
+                                 counted(t_ns_.size(), "time"));
     return;
   }
   if (update_ns_ == 0) update_ns_ = median_gap(t_ns_);

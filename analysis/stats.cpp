@@ -73,11 +73,15 @@ std::optional<Interval> median_interval(std::span<const double> values, double l
   return Interval{ordered[low], ordered[ordered.size() - 1 - low]};
 }
 
-void resample_blocks(std::span<const double> values, std::mt19937_64& random,
-                     std::span<double> out) {
-  assert(!values.empty());
+std::size_t block_of(std::size_t count) {
   std::size_t block = 1;
-  while (block * block * block < values.size()) ++block;
+  while (block * block * block < count) ++block;
+  return block;
+}
+
+void resample_blocks(std::span<const double> values, std::size_t block, std::mt19937_64& random,
+                     std::span<double> out) {
+  assert(!values.empty() && block > 0);
   std::size_t at = 0;
   for (std::size_t i = 0; i < out.size(); ++i) {
     at = i % block == 0 ? random() % values.size() : (at + 1) % values.size();

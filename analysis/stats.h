@@ -38,13 +38,16 @@ std::optional<double> stddev(std::span<const double> values);
 /// See "Order Statistics", by H. David and H. Nagaraja, Wiley, 3rd edition 2003, section 7.1.
 std::optional<Interval> median_interval(std::span<const double> values, double level = 0.95);
 
-/// Fills `out` with a resample of `values` made of blocks of consecutive values, ceil(cbrt(n))
-/// long, that start anywhere and run on from the end to the beginning: frames close in time are
+/// Fills `out` with a resample of `values` made of blocks of `block` (at least 1) consecutive
+/// values that start anywhere and run on from the end to the beginning: frames close in time are
 /// alike, and blocks keep that. `values` in time order, at least one; `out` may have any size. See
 /// "A Circular Block-Resampling Procedure for Stationary Data", by D. Politis and J. Romano, in
 /// Exploring the Limits of Bootstrap, Wiley 1992.
-void resample_blocks(std::span<const double> values, std::mt19937_64& random,
+void resample_blocks(std::span<const double> values, std::size_t block, std::mt19937_64& random,
                      std::span<double> out);
+
+/// ceil(cbrt(count)): long enough for blocks of values that depend little on each other.
+std::size_t block_of(std::size_t count);
 
 /// The middle `level` share of bootstrap replicates (at least one).
 Interval percentile_interval(std::span<const double> replicates, double level = 0.95);

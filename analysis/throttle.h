@@ -108,8 +108,8 @@ std::optional<DeviceClock> device_clock(const RunRecord& run, std::span<const Ti
 /// Gathers all evidence of throttling.
 ///
 /// - A flag, or a state above the lowest of the run: the time that is nearer to readings that say
-/// so
-///   than to others, unless they are stale.
+/// it
+///   is set than to others, unless they are stale.
 /// - A counter of time: the time it rose by, ending at the reading that shows it, not reaching
 ///   beyond the rise before. Quotas are counted per CPU and in one piece when a stop ends.
 /// - Another counter: the time between the two readings it rose between.

@@ -87,7 +87,7 @@ TEST(Compare, WithoutAClockTimeDecidesAndSaysSo) {
   const SlowerVerdict verdict = slower_by(result, 5);
   EXPECT_TRUE(verdict.slower);
   EXPECT_FALSE(verdict.in_cycles);
-  EXPECT_THAT(verdict.text, HasSubstr("in time, as no clock is known in both"));
+  EXPECT_THAT(verdict.text, HasSubstr("in time, as the clock is not known throughout"));
 }
 
 TEST(Compare, FindsTheOneCellThatChanged) {

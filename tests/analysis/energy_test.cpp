@@ -496,6 +496,72 @@ TEST(Energy, GapsBetweenFramesAreNoPartOfTheirPower) {
   }
 }
 
+TEST(Energy, OfAnAlgorithmThatDrewNothingIsNotBelieved) {
+  for (const bool with_idle : {true, false}) {
+    Machine machine(71);
+    machine.idle_w = 0;
+    machine.idle(10 * second, with_idle);
+    for (int repetition = 0; repetition < 4; ++repetition)
+      for (const auto& [algorithm, watts] : {std::pair("A", 0.0), {"B", 20.0}, {"C", 30.0}})
+        machine.trace("m", 0, algorithm, watts, 10 * ms, 300);
+    machine.idle(10 * second, with_idle);
+    machine.measure("x.gpu.power", ms);
+    const EnergyReport report = machine.price();
+    ASSERT_EQ(report.rows.size(), 3u);
+    EXPECT_THAT(report.rows[0].refused, HasSubstr("0 J is not believed"));
+    EXPECT_FALSE(report.rows[0].gross_joules_per_frame);
+    for (const std::size_t row : {1u, 2u}) {
+      ASSERT_TRUE(report.rows[row].gross_joules_per_frame) << report.rows[row].refused;
+      const Estimate& gross = *report.rows[row].gross_joules_per_frame;
+      EXPECT_TRUE(std::isfinite(gross.interval.low) && std::isfinite(gross.interval.high));
+      EXPECT_NEAR(gross.value, row == 1 ? 0.2 : 0.3, 0.02);
+    }
+  }
+}
+
+TEST(Energy, OfShortTrialsRestsOnWhatWasDrawnThen) {
+  // Power at rest doubles; A is traced in the first half, B in the second.
+  Machine machine(72);
+  machine.gap_ns = ms;
+  for (int k = 0; k < 120; ++k) {
+    machine.idle_w = 20.0 * (1 + k / 120.0);
+    machine.idle(1'000 * ms);
+    machine.trace("m", 0, k < 60 ? "A" : "B", 55, 10 * ms, 20);
+  }
+  machine.idle(2 * second);
+  machine.count("rapl.package-0.energy", 100 * ms, 10 * ms);
+  const EnergyReport report = machine.price();
+  ASSERT_EQ(report.rows.size(), 2u);
+  for (const std::size_t row : {0u, 1u}) {
+    EXPECT_THAT(report.rows[row].method, StartsWith("regression")) << report.rows[row].refused;
+    const double rest_w = row == 0 ? 25 : 35;
+    EXPECT_NEAR(report.rows[row].idle_w.value_or(0), rest_w, 1.0);
+    ASSERT_TRUE(report.rows[row].gross_joules_per_frame);
+    EXPECT_NEAR(report.rows[row].gross_joules_per_frame->value, 0.55 + 0.011 * rest_w, 0.03);
+  }
+}
+
+TEST(Energy, AFrameAsLongAsTheRunTakesNoTimeOfTheOthers) {
+  Machine machine(73);
+  for (int k = 0; k < 100; ++k) {
+    machine.idle(400 * ms);
+    machine.trace("m", 0, k % 2 == 0 ? "A" : "B", k % 2 == 0 ? 20 : 40, 10 * ms, 20);
+  }
+  machine.idle(2 * second);
+  machine.count("rapl.package-0.energy", 100 * ms, 10 * ms);
+  FrameRecord long_frame = machine.run.frames.front();
+  long_frame.id = 1'000'000;
+  long_frame.begin_ns -= ms;
+  long_frame.end_ns = machine.now_ns;
+  machine.run.frames.insert(machine.run.frames.begin(), long_frame);
+  const EnergyReport report = machine.price();
+  ASSERT_EQ(report.rows.size(), 2u);
+  for (const EnergyRow& row : report.rows) {
+    ASSERT_TRUE(row.joules_per_frame) << row.refused;
+    EXPECT_NEAR(row.joules_per_frame->value / machine.true_joules(row), 1, 0.05);
+  }
+}
+
 TEST(Energy, CopesWithAnything) {
   EXPECT_TRUE(price_energy({}, {}, {}, DeviceType::unknown).rows.empty());
   Machine machine(9);

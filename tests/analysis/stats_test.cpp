@@ -91,9 +91,9 @@ TEST(Stats, ResamplingIsTheSameForTheSameSeed) {
   const Values values{1, 2, 3, 4, 5, 6, 7, 8};
   Values first(8), second(8), third(8);
   std::mt19937_64 a(3), b(3), c(4);
-  resample_blocks(values, a, first);
-  resample_blocks(values, b, second);
-  resample_blocks(values, c, third);
+  resample_blocks(values, 2, a, first);
+  resample_blocks(values, 2, b, second);
+  resample_blocks(values, 2, c, third);
   EXPECT_EQ(first, second);
   EXPECT_NE(first, third);
 }
@@ -104,7 +104,7 @@ TEST(Stats, ResamplingKeepsNeighboursTogether) {
   std::iota(values.begin(), values.end(), 0.0);
   Values out(27);
   std::mt19937_64 random(1);
-  resample_blocks(values, random, out);
+  resample_blocks(values, block_of(27), random, out);
   for (std::size_t i = 0; i < out.size(); ++i)
     if (i % 3 != 0) {
       EXPECT_DOUBLE_EQ(out[i], std::fmod(out[i - 1] + 1, 27));
