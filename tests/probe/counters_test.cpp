@@ -2,11 +2,13 @@
 // this one counts.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
 #include <cerrno>
 
 #include "probe/machine_counters.h"
 #include "probe/perf_events.h"
+#include "probe/schedstat.h"
 #include "tree.h"
 
 namespace energyprof::probe {
@@ -256,6 +258,37 @@ TEST(ProcessUsage, IsNotThatOfARecordedProgram) {
   EXPECT_THAT(found.missing,
               Contains(testing::AllOf(Field(&Missing::source, "schedstat"),
                                       Field(&Missing::reason, HasSubstr("energyprof itself")))));
+}
+
+// What the thread's file would have to be for the source to see that nothing is counted.
+Discovery schedstat_of(const Tree& tree) {
+  Discovery found;
+  discover_schedstat(tree.root(), {}, found);
+  return found;
+}
+
+TEST(Schedstat, IsMissingWhereTheKernelDoesNotCount) {
+  const Tree tree{{"proc/thread-self/schedstat", "0 0 0\n"}};
+  EXPECT_THAT(schedstat_of(tree).sources, IsEmpty());
+  EXPECT_THAT(schedstat_of(tree).missing, missing_because("does not count"));
+  tree.write({{"proc/sys/kernel/task_delayacct", "0\n"}});
+  EXPECT_THAT(schedstat_of(tree).missing,
+              Contains(Field(&Missing::fix, "sudo sysctl kernel.task_delayacct=1")));
+  tree.write({{"proc/thread-self/schedstat", "much\n"}});
+  EXPECT_THAT(schedstat_of(tree).missing, missing_because("two numbers"));
+}
+
+TEST(Schedstat, GivesNoZerosForThreadsThatItCannotOpen) {
+  const Tree tree{{"proc/thread-self/schedstat", "1 0 1\n"}};
+  rlimit limit{};
+  ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &limit), 0);
+  const rlimit none{0, limit.rlim_max};
+  const Discovery found = schedstat_of(tree);  // opens what it lists threads by
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &none), 0);
+  auto readings = poll_all(found);
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &limit), 0);
+  EXPECT_EQ(readings["process.cpu_wait"].status, PollStatus::retry);
+  EXPECT_EQ(readings["process.cpu_time"].status, PollStatus::retry);
 }
 
 Selection with_msr() { return Selection{.sources = {"powercap", "msr"}, .allow_msr = true}; }
