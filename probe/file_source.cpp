@@ -28,30 +28,6 @@ void FileSource::poll(std::span<Reading> out) noexcept {
   for (size_t i = 0; i < files_.size(); ++i) out[i] = files_[i].read_int();
 }
 
-FileGroupSource::FileGroupSource(std::string name, int64_t period_ns, std::vector<Channel> channels,
-                                 FileGroups groups, Pick pick, SourceTraits traits)
-    : SensorSource(std::move(name), period_ns, std::move(channels), std::move(traits)),
-      groups_(std::move(groups)),
-      pick_(pick) {}
-
-void FileGroupSource::poll(std::span<Reading> out) noexcept {
-  for (size_t i = 0; i < groups_.size(); ++i) {
-    Reading best{.status = PollStatus::gone};
-    for (TextFile& file : groups_[i]) {
-      Reading reading = file.read_int();
-      if (pick_ == Pick::lowest_positive && reading.status == PollStatus::ok && reading.value <= 0)
-        reading.status = PollStatus::retry;
-      const bool wins =
-          pick_ == Pick::highest ? reading.value > best.value : reading.value < best.value;
-      const bool better = reading.status == PollStatus::ok
-                              ? best.status != PollStatus::ok || wins
-                              : reading.status < best.status;  // ok < retry < gone
-      if (better) best = reading;
-    }
-    out[i] = best;
-  }
-}
-
 void add_file_row(const Root& root, Discovery& discovery, std::string source,
                   std::vector<FileChannel>& rows, Channel channel, std::string_view path) {
   CheckedFile checked = check_int_file(root, path);

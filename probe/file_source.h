@@ -25,26 +25,6 @@ class FileSource final : public SensorSource {
   std::vector<TextFile> files_;
 };
 
-/// Which of several files' values is a channel's.
-enum class Pick : uint8_t {
-  lowest_positive,  ///< of limits, where 0 is one that was never set
-  highest,          ///< of counters that mirror each other
-};
-
-/// A source whose channels each come from several files that say the same thing in different
-/// places. A file that went away counts no more; the channel is gone with the last of them.
-class FileGroupSource final : public SensorSource {
- public:
-  using FileGroups = std::vector<std::vector<TextFile>>;
-  FileGroupSource(std::string name, int64_t period_ns, std::vector<Channel> channels,
-                  FileGroups groups, Pick pick, SourceTraits traits = {});
-  void poll(std::span<Reading> out) noexcept override;
-
- private:
-  FileGroups groups_;
-  Pick pick_;
-};
-
 /// Adds the file as a row, or says in `discovery` why `source` cannot use it. An absent file is no
 /// news.
 void add_file_row(const Root& root, Discovery& discovery, std::string source,
