@@ -90,9 +90,8 @@ std::vector<NamedCard> drm_cards_of(const Root& root, std::string_view driver) {
 void report_absent_chip(const Root& root, const DrmCard& card, Discovery& discovery) {
   const std::string chips = card.path + "/device/hwmon";
   if (root.exists(chips)) return;
-  constexpr std::string_view integrated = "0000:00:02.0";
   const std::string_view why =
-      card.gpu == integrated
+      card.gpu == integrated_intel_gpu
           ? "as usual for an integrated GPU; its energy is RAPL's uncore, its temperature the "
             "package's"
           : "which a card of its own has from Linux 6.2 on, with CONFIG_HWMON";

@@ -11,6 +11,9 @@
 
 namespace energyprof::probe {
 
+/// Where an integrated Intel GPU is.
+inline constexpr std::string_view integrated_intel_gpu = "0000:00:02.0";
+
 /// One card of sys/class/drm.
 struct DrmCard {
   std::string path;    ///< below the root: "sys/class/drm/card1"

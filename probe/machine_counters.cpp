@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "core/clock.h"
+#include "probe/drm_card.h"
 #include "probe/names.h"
 #include "probe/text_file.h"
 
@@ -52,7 +53,7 @@ constexpr std::array rapl_events{
 
 // The GPU that a unit is called after: "i915" is the integrated one, "xe_0000_03_00.0" says which.
 std::string gpu_of_pmu(std::string_view pmu, std::string_view driver) {
-  if (pmu.size() <= driver.size()) return "0000:00:02.0";
+  if (pmu.size() <= driver.size()) return std::string(integrated_intel_gpu);
   std::string gpu(pmu.substr(driver.size() + 1));
   std::replace(gpu.begin(), gpu.end(), '_', ':');
   return gpu;

@@ -305,6 +305,8 @@ TEST(Msr, GivesWhatPowercapDoesNot) {
   const Discovery both = discover(machine("intel-rplp-i915-laptop"), selection);
   EXPECT_EQ(channel_called(both, "rapl.package-0.energy").source, "powercap");
   EXPECT_EQ(poll_all(both)["msr.gfx.throttle.pl1"].value, 1);
+  EXPECT_EQ(channel_called(both, "msr.gfx.throttle.pl1").gpu, "0000:00:02.0");
+  EXPECT_EQ(channel_called(both, "msr.core.throttle.pl1").gpu, "");
 
   selection.sources = {"msr"};
   const Discovery alone = discover(machine("intel-rplp-i915-laptop"), selection);
@@ -354,6 +356,63 @@ TEST(Msr, DoesNotRecordAgainWhatAPackageOfSeveralHas) {
                   {rapl + "intel-rapl:1/energy_uj", "3\n"}};
   for (const std::string& name : names_of(discover(tree.root(), with_msr())))
     EXPECT_NE(name, "rapl.dram.energy");
+}
+
+TEST(Msr, DoesNotRecordAgainWhatADieOfSeveralHas) {
+  const std::string rapl = "sys/class/powercap/";
+  const Tree tree{
+      {"dev/cpu/0/msr.tsv", "0x606\t0xa0e03\n0x610\t0x80c8\n0x611\t0x1\n0x619\t0x1\n0x639\t0x1\n"},
+      {rapl + "intel-rapl:0/name", "package-0-die-0\n"},
+      {rapl + "intel-rapl:0/energy_uj", "1\n"},
+      {rapl + "intel-rapl:0/constraint_0_name", "long_term\n"},
+      {rapl + "intel-rapl:0/constraint_0_power_limit_uw", "25000000\n"},
+      {rapl + "intel-rapl:0:0/name", "dram\n"},
+      {rapl + "intel-rapl:0:0/energy_uj", "2\n"},
+      {rapl + "intel-rapl:1/name", "package-0-die-1\n"},
+      {rapl + "intel-rapl:1/energy_uj", "3\n"}};
+  const Discovery found = discover(tree.root(), with_msr());
+  std::vector<std::string> of_msr;
+  for (const auto& source : found.sources)
+    if (source->name() == "msr")
+      for (const Channel& channel : std::as_const(*source).channels())
+        of_msr.push_back(channel.name);
+  EXPECT_THAT(of_msr, ElementsAre("rapl.core.energy"));  // nobody else has it
+}
+
+TEST(Msr, TakesNoLimitThatIsNotEnabled) {
+  // PL1 25 W with bit 15, PL2 25 W without bit 47.
+  const Tree tree{{"dev/cpu/0/msr.tsv", "0x606\t0xa0e03\n0x610\t0xc8000080c8\n"}};
+  const Discovery found = discover(tree.root(), with_msr());
+  EXPECT_EQ(poll_all(found)["rapl.package-0.pl1"].value, 25'000'000);
+  EXPECT_EQ(channel_called(found, "rapl.package-0.pl2").id, 0);
+  EXPECT_THAT(found.missing, missing_because("rapl.package-0.pl2 is not enabled"));
+  tree.write({{"dev/cpu/0/msr.tsv", "0x606\t0xa0e03\n0x610\t0xc8000000c8\n"}});  // later
+  EXPECT_EQ(poll_all(found)["rapl.package-0.pl1"].status, PollStatus::retry);
+}
+
+TEST(Msr, GivesNoReasonsOfAGpuThatIsNotThere) {
+  const Tree tree{{"dev/cpu/0/msr.tsv", "0x606\t0xa0e03\n0x64f\t0x1\n0x6b0\t0x1\n"}};
+  const Discovery found = discover(tree.root(), with_msr());
+  EXPECT_EQ(poll_all(found)["msr.core.throttle.prochot"].value, 1);
+  EXPECT_EQ(channel_called(found, "msr.gfx.throttle.prochot").id, 0);
+}
+
+TEST(Msr, BlamesLockdownOnlyWhereItIsOn) {
+  const Tree tree{{"dev/cpu/0/msr.tsv", "0x606\t0xa0e03\n"},
+                  {"sys/kernel/security/lockdown", "none [integrity] confidentiality\n"}};
+  const auto why = [&] {
+    return discover(tree.root({{"dev/cpu/0/msr.tsv", EPERM}}), with_msr()).missing;
+  };
+  EXPECT_THAT(why(), missing_because("lockdown"));
+  tree.write({{"sys/kernel/security/lockdown", "[none] integrity confidentiality\n"}});
+  EXPECT_THAT(why(), missing_because("CAP_SYS_RAWIO"));
+  EXPECT_THAT(why(), Not(missing_because("lockdown")));
+}
+
+TEST(Msr, SuggestsACommandForTheSameTree) {
+  const Tree tree;
+  const Discovery found = discover(tree.root(), Selection{.sources = {"msr"}});
+  EXPECT_THAT(found.missing, Contains(Field(&Missing::fix, HasSubstr("--root " + tree.path()))));
 }
 
 TEST(Msr, TakesTheReasonsOfOldProcessorsFromTheirOwnRegister) {
