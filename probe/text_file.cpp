@@ -18,14 +18,6 @@
 namespace energyprof::probe {
 namespace {
 
-constexpr std::string_view white_space = " \t\r\n";
-
-std::string_view trim(std::string_view text) {
-  const size_t begin = text.find_first_not_of(white_space);
-  if (begin == std::string_view::npos) return {};
-  return text.substr(begin, text.find_last_not_of(white_space) - begin + 1);
-}
-
 constexpr int64_t retry_rarely_ns = ns_per_s;
 constexpr int64_t path_check_ns = 50 * ns_per_ms;
 

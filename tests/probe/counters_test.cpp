@@ -1,11 +1,14 @@
 // Counters that sysfs describes, and registers: what would be opened on other machines, and what
 // this one counts.
+#include <fcntl.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <sys/resource.h>
 
 #include <cerrno>
+#include <filesystem>
 
+#include "core/clock.h"
 #include "probe/machine_counters.h"
 #include "probe/perf_events.h"
 #include "probe/schedstat.h"
@@ -181,6 +184,34 @@ TEST(Uncore, KnowsHowServersNameTheirFreeRunningCounters) {
   EXPECT_EQ(plans[0].channel.name, "uncore.imc.write");
 }
 
+TEST(Uncore, AddsUpTheSubchannelsOfAController) {
+  const std::string unit = "sys/bus/event_source/devices/uncore_imc_0/";  // as on Granite Rapids
+  const Tree tree{{unit + "type", "30\n"},
+                  {unit + "format/event", "config:0-7\n"},
+                  {unit + "format/umask", "config:8-15\n"},
+                  {unit + "events/cas_count_read_sch0", "event=0x05,umask=0xcf\n"},
+                  {unit + "events/cas_count_read_sch1", "event=0x06,umask=0xcf\n"},
+                  {unit + "events/cas_count_write_sch0", "event=0x05,umask=0xf0\n"},
+                  {unit + "events/cas_count_write_sch1", "event=0x06,umask=0xf0\n"}};
+  Discovery found;
+  const std::vector<ChannelPlan> plans = plan_uncore(tree.root(), found);
+  ASSERT_THAT(plans, SizeIs(2));
+  EXPECT_EQ(plans[0].channel.name, "uncore.imc.read");
+  ASSERT_THAT(plans[0].counters, SizeIs(2));
+  EXPECT_EQ(plans[0].counters[1].config[0], 0xcf06u);
+  EXPECT_TRUE(plans[0].counters[1].pinned);
+  EXPECT_EQ(plans[1].channel.name, "uncore.imc.write");
+}
+
+TEST(Uncore, SaysSoWhereAControllerListsNoKnownEvent) {
+  const std::string unit = "sys/bus/event_source/devices/uncore_imc_0/";
+  const Tree tree{{unit + "type", "30\n"}, {unit + "events/clockticks", "event=0x01\n"}};
+  Discovery found;
+  discover_uncore(tree.root(), found);
+  EXPECT_THAT(found.missing, missing_because("uncore_imc_0: no event"));
+  EXPECT_THAT(found.missing, Not(missing_because("no perf unit")));
+}
+
 TEST(Uncore, CountsTheCommandsOfAmdsControllers) {
   const std::string units = "sys/bus/event_source/devices/";
   const Tree tree;
@@ -235,9 +266,57 @@ TEST(MachineCounters, AreNotForARoot) {
 
 TEST(MachineCounters, SayWhatTheKernelWouldHaveToAllow) {
   const Tree tree{{"proc/sys/kernel/perf_event_paranoid", "4\n"}};
-  const Missing missing = machine_wide_refusal(tree.root(), "uncore", "'x'", EACCES);
-  EXPECT_THAT(missing.reason, HasSubstr("perf_event_paranoid is 4"));
-  EXPECT_THAT(missing.fix, HasSubstr("setcap cap_perfmon"));
+  const auto explain = [&](int error, int paranoid) {
+    return explain_counters(tree.root(), "uncore", "'x'", error, paranoid);
+  };
+  EXPECT_THAT(explain(EACCES, 0).reason, HasSubstr("perf_event_paranoid is 4, and this needs 0"));
+  // The program that runs, wherever it lies.
+  EXPECT_EQ(explain(EACCES, 0).fix, "sudo setcap cap_perfmon+ep '" +
+                                        std::filesystem::read_symlink("/proc/self/exe").string() +
+                                        "'");
+  EXPECT_THAT(explain(EMFILE, 0).fix, HasSubstr("ulimit -n"));
+  EXPECT_THAT(explain(ENOENT, 0).reason, HasSubstr("virtual machine"));
+  EXPECT_THAT(explain(EINVAL, 0).reason, Not(HasSubstr("virtual machine")));
+  tree.write({{"proc/sys/kernel/perf_event_paranoid", "1\n"}});
+  EXPECT_THAT(explain(EPERM, 2).reason, HasSubstr("which allows it"));
+  EXPECT_THAT(explain(EPERM, 2).fix, HasSubstr("docker"));
+  EXPECT_THAT(explain(EPERM, 0).fix, HasSubstr("setcap"));
+}
+
+TEST(MachineCounters, SayWhenTheyCannotBeOpened) {
+  Discovery found;
+  ChannelPlan plan;
+  plan.channel.origin = "perf nothing/such/";
+  plan.counters = {{.type = 0x7fff'fff0, .cpu = 0, .pinned = true}};
+  std::vector<ChannelPlan> plans(2, plan);
+  add_counters(Root(), found, "uncore", ns_per_ms, std::move(plans), {});
+  EXPECT_THAT(found.sources, IsEmpty());
+  ASSERT_THAT(found.missing, SizeIs(1));  // one reason for both
+  EXPECT_THAT(found.missing[0].reason, HasSubstr("'perf nothing/such/', 'perf nothing/such/'"));
+}
+
+TEST(Counter, ThatTheHardwareHasNoRoomForCountsNothing) {
+  // As of a pinned counter that is not counted: the end of the file.
+  const Counter counter(open("/dev/null", O_RDONLY));
+  EXPECT_EQ(counter.read().error, ENODEV);
+}
+
+TEST(CorePmus, AreAllThatListTheirProcessors) {
+  const std::string units = "sys/bus/event_source/devices/";
+  const Tree tree{{units + "cpu_core/type", "4\n"},
+                  {units + "cpu_core/cpus", "0-3\n"},
+                  {units + "power/type", "17\n"},
+                  {units + "power/cpumask", "0\n"}};
+  EXPECT_THAT(list_core_pmus(tree.root()), IsEmpty());  // all cores are alike
+  tree.write({{units + "cpu_atom/type", "10\n"},
+              {units + "cpu_atom/cpus", "4-7\n"},
+              {units + "cpu_lowpower/type", "11\n"},
+              {units + "cpu_lowpower/cpus", "8-9\n"}});
+  const std::vector<Pmu> kinds = list_core_pmus(tree.root());
+  ASSERT_THAT(kinds, SizeIs(3));
+  EXPECT_EQ(kinds[1].name, "cpu_core");
+  EXPECT_EQ(kinds[2].name, "cpu_lowpower");
+  EXPECT_THAT(kinds[2].cpus, ElementsAre(8, 9));
 }
 
 TEST(ProcessUsage, CountsThePageFaultsOfThisProcess) {
