@@ -339,6 +339,16 @@ TEST(Battery, IsOfNoUseWhenItCannotBeToldWhetherItDischarges) {
   EXPECT_THAT(find(tree.root(), "battery").missing, missing_because("No such file"));
 }
 
+TEST(Battery, MayLearnARateThatItDoesNotKnowNow) {
+  const Tree tree{{battery + "type", "Battery\n"},
+                  {battery + "status", "Discharging\n"},
+                  {battery + "power_now", "1\n"}};
+  const Discovery found = find(tree.root({{battery + "power_now", ENODEV}}), "battery");
+  EXPECT_EQ(poll_all(found)["battery.bat1.power"].status, PollStatus::retry);
+  EXPECT_THAT(found.missing, missing_because("power_now' says that it is unknown now"));
+  EXPECT_THAT(found.missing, Not(missing_because("neither")));
+}
+
 TEST(Battery, IsNotThatOfAMouse) {
   const Tree tree{{battery + "type", "Battery\n"},
                   {battery + "scope", "Device\n"},
