@@ -53,13 +53,8 @@ struct Thread {
 };
 
 Channel time_channel(std::string name, Quantity quantity, std::string_view what) {
-  Channel channel;
-  channel.name = std::move(name);
-  channel.quantity = quantity;
-  channel.unit = Unit::nanosecond;
-  channel.kind = Kind::cumulative;
-  channel.origin = fmt::format("{}/*/schedstat: {}", task_directory, what);
-  return channel;
+  return make_channel(std::move(name), quantity, Unit::nanosecond, Kind::cumulative,
+                      fmt::format("{}/*/schedstat: {}", task_directory, what));
 }
 
 class SchedstatSource final : public SensorSource {
