@@ -64,6 +64,10 @@ std::string gpu_of_device(const Root& root, std::string_view device_path) {
   return std::string(path.substr(path.rfind('/') + 1));
 }
 
+bool may_sleep(const Root& root, std::string_view device_path) {
+  return root.read_line(fmt::format("{}/power/control", device_path)) != "on";
+}
+
 std::vector<DrmCard> list_drm_cards(const Root& root) {
   std::vector<DrmCard> cards;
   for (const std::string& entry : root.list(class_dir)) {

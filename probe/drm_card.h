@@ -40,6 +40,10 @@ void report_absent_chip(const Root& root, const DrmCard& card, Discovery& discov
 /// the last part of the device's path. Empty if the directory is not there.
 std::string gpu_of_device(const Root& root, std::string_view device_path);
 
+/// Whether the kernel may put a device to sleep while nothing uses it, so that a read wakes it,
+/// which takes milliseconds and watts: unless its power/control says "on".
+bool may_sleep(const Root& root, std::string_view device_path);
+
 /// The GPU behind a DRM node (VK_EXT_physical_device_drm); nullopt if the kernel lists none.
 std::optional<std::string> gpu_of_drm_node(const Root& root, int64_t major, int64_t minor);
 
