@@ -21,11 +21,16 @@ FileSource::FileSource(std::string name, int64_t period_ns, std::vector<FileChan
                        SourceTraits traits)
     : SensorSource(std::move(name), period_ns, channels_of(rows), std::move(traits)) {
   files_.reserve(rows.size());
-  for (FileChannel& row : rows) files_.push_back(std::move(row.file));
+  for (FileChannel& row : rows) files_.push_back({std::move(row.file), row.is_value});
 }
 
 void FileSource::poll(std::span<Reading> out) noexcept {
-  for (size_t i = 0; i < files_.size(); ++i) out[i] = files_[i].read_int();
+  for (size_t i = 0; i < files_.size(); ++i) {
+    out[i] = files_[i].file.read_int();
+    if (out[i].status == PollStatus::ok && files_[i].is_value != nullptr &&
+        !files_[i].is_value(out[i].value))
+      out[i].status = PollStatus::retry;
+  }
 }
 
 void add_file_row(const Root& root, Discovery& discovery, std::string source,

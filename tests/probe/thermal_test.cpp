@@ -156,6 +156,19 @@ TEST(CoolingDevice, BelongsToTheGpuItSlowsDown) {
   EXPECT_THAT(found.missing, missing_because("cooling_device4/cur_state': Invalid argument", ""));
 }
 
+TEST(CoolingDevice, OfTheOnlyDevfreqDeviceBelongsToItsGpu) {
+  const std::string state = "thermal.cooling.thermal-devfreq-0.state";
+  const Tree tree{{zones + "cooling_device0/type", "thermal-devfreq-0\n"},
+                  {zones + "cooling_device0/cur_state", "0\n"},
+                  {zones + "cooling_device0/max_state", "4\n"},
+                  {"sys/class/devfreq/ff9a0000.gpu/cur_freq", "200000000\n"}};
+  EXPECT_EQ(channel_called(find(tree.root(), "thermal"), state).gpu, "ff9a0000.gpu");
+  tree.write({{"sys/class/devfreq/dmc/cur_freq", "800000000\n"}});
+  const Discovery either = find(tree.root(), "thermal");
+  EXPECT_EQ(channel_called(either, state).gpu, "");
+  EXPECT_THAT(verdict(either), testing::Not(HasSubstr("throttling of the package (")));
+}
+
 TEST(ThermalThrottle, TakesTheHighestOfEachPackageAndTheSumOfCores) {
   const Tree tree;
   for (int cpu = 0; cpu < 8; ++cpu) {
