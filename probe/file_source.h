@@ -10,7 +10,7 @@
 namespace energyprof::probe {
 
 /// Temperatures beyond these are of inputs where nothing is connected, or of zones that are not
-/// set.
+/// set; limits beyond them, as drives give 65261 C, are none.
 inline constexpr int64_t lowest_temp_mc = -40'000;
 inline constexpr int64_t highest_temp_mc = 200'000;
 constexpr bool is_plausible_temp(int64_t temp_mc) {

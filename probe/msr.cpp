@@ -291,7 +291,7 @@ void discover_intel(const Root& root, Gathering& gathering, Registers& registers
 // Reads the registers as root, of the same tree.
 std::string command_as_root(const Root& root) {
   std::string command = "sudo energyprof probe --allow-msr";
-  if (!root.is_host()) command += " --root " + root.directory();
+  if (!root.is_host()) command += fmt::format(" --root '{}'", root.directory());
   return command;
 }
 

@@ -491,7 +491,7 @@ TEST(Msr, BlamesLockdownOnlyWhereItIsOn) {
 TEST(Msr, SuggestsACommandForTheSameTree) {
   const Tree tree;
   const Discovery found = discover(tree.root(), Selection{.sources = {"msr"}});
-  EXPECT_THAT(found.missing, Contains(Field(&Missing::fix, HasSubstr("--root " + tree.path()))));
+  EXPECT_THAT(found.missing, Contains(Field(&Missing::fix, HasSubstr("--root '" + tree.path()))));
 }
 
 TEST(Msr, TakesTheReasonsOfOldProcessorsFromTheirOwnRegister) {
