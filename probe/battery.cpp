@@ -134,7 +134,8 @@ void discover_one(const Root& root, const std::string& entry, Discovery& discove
         {"battery", fmt::format("'{}' says that it is unknown now", file.file.path()), ""});
     return true;
   };
-  if (is_use(power)) {
+  const bool has_product = current.problem.empty() && voltage.problem.empty();
+  if (power.problem.empty() || (!has_product && is_use(power))) {
     add("power", Quantity::power, Unit::microwatt, Kind::average, power.file.path());
     files.power_uw.emplace(std::move(power.file));
   } else if (voltage.problem.empty() && is_use(current)) {

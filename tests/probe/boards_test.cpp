@@ -347,6 +347,9 @@ TEST(Battery, MayLearnARateThatItDoesNotKnowNow) {
   EXPECT_EQ(poll_all(found)["battery.bat1.power"].status, PollStatus::retry);
   EXPECT_THAT(found.missing, missing_because("power_now' says that it is unknown now"));
   EXPECT_THAT(found.missing, Not(missing_because("neither")));
+  tree.write({{battery + "current_now", "1500000\n"}, {battery + "voltage_now", "8000000\n"}});
+  const Discovery other = find(tree.root({{battery + "power_now", ENODEV}}), "battery");
+  EXPECT_EQ(poll_all(other)["battery.bat1.power"].value, 12'000'000);
 }
 
 TEST(Battery, IsNotThatOfAMouse) {
