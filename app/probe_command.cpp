@@ -11,6 +11,7 @@
 
 #include "analysis/format.h"
 #include "app/commands.h"
+#include "app/sensors.h"
 #include "core/run_db.h"
 #include "kernels/device.h"
 #include "probe/characterize.h"
@@ -106,19 +107,26 @@ json channel_json(const ProbedChannel& probed) {
   return j;
 }
 
-void print_json(const probe::Discovery& discovery, const std::vector<ProbedChannel>& probed) {
+/// Why no device is listed: those of this machine are not the other one's.
+constexpr const char* no_devices_reason =
+    "not under --root: Vulkan knows the devices of this machine only";
+
+void print_json(const probe::Root& root, const probe::Discovery& discovery,
+                const std::vector<ProbedChannel>& probed) {
   json channels = json::array();
   for (const ProbedChannel& channel : probed) channels.push_back(channel_json(channel));
-  json missing = json::array();
-  for (const probe::Missing& m : discovery.missing)
-    missing.push_back({{"source", m.source},
-                       {"reason", m.reason},
-                       {"fix", m.fix.empty() ? json(nullptr) : json(m.fix)}});
-  const json output{{"schema_version", schema_version},
-                    {"verdict", probe::verdict(discovery)},
-                    {"channels", channels},
-                    {"missing", missing},
-                    {"devices", devices_json()}};
+  json output{{"schema_version", schema_version},
+              {"simulated", !root.is_host()},
+              {"verdict", probe::verdict(discovery)},
+              {"channels", channels},
+              {"missing", missing_json(discovery.missing)}};
+  if (root.is_host()) {
+    output["devices"] = devices_json();
+  } else {
+    output["root"] = root.directory();
+    output["devices"] = json::array();
+    output["no_devices_reason"] = no_devices_reason;
+  }
   fmt::print("{}\n", output.dump(2, ' ', false, json::error_handler_t::replace));
 }
 
@@ -263,8 +271,9 @@ void print_table(const std::vector<ProbedChannel>& probed, bool all) {
   if (probed.empty()) fmt::print("Nothing can be sensed here.\n");
 }
 
-void print_devices() {
+void print_devices(const probe::Root& root) {
   fmt::print("\nVulkan devices\n");
+  if (!root.is_host()) return fmt::print("  {}\n", no_devices_reason);
   for (const json& device : devices_json()) {
     const std::string name = device["name"].is_null() ? "none" : device["name"].get<std::string>();
     if (!device["refused"].is_null()) {
@@ -292,8 +301,10 @@ void print_devices() {
   }
 }
 
-void print_text(const probe::Discovery& discovery, const std::vector<ProbedChannel>& probed,
-                bool all) {
+void print_text(const probe::Root& root, const probe::Discovery& discovery,
+                const std::vector<ProbedChannel>& probed, bool all) {
+  if (!root.is_host())
+    fmt::print("Simulated: what '{}' tells, not this machine.\n\n", root.directory());
   print_table(probed, all);
   if (!discovery.missing.empty()) fmt::print("\nnot seen\n");
   for (const probe::Missing& m : discovery.missing) {
@@ -301,7 +312,7 @@ void print_text(const probe::Discovery& discovery, const std::vector<ProbedChann
     // On one line, however long: it is there to be copied.
     if (!m.fix.empty()) fmt::print("  {} fix: {}\n", padded("", 16), m.fix);
   }
-  print_devices();
+  print_devices(root);
   fmt::print("\n{}\n", wrapped(probe::verdict(discovery), 0));
 }
 
@@ -315,9 +326,9 @@ int probe_command(const ProbeOptions& options) {
   probe::characterize(discovery, root);
   const std::vector<ProbedChannel> probed = poll_once(discovery);
   if (options.json)
-    print_json(discovery, probed);
+    print_json(root, discovery, probed);
   else
-    print_text(discovery, probed, options.all);
+    print_text(root, discovery, probed, options.all);
   return 0;
 }
 

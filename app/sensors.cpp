@@ -49,6 +49,15 @@ void check_required(const Config& config, const std::vector<Channel>& channels,
 
 }  // namespace
 
+nlohmann::json missing_json(const std::vector<probe::Missing>& missing) {
+  nlohmann::json list = nlohmann::json::array();
+  for (const probe::Missing& m : missing)
+    list.push_back({{"source", m.source},
+                    {"reason", m.reason},
+                    {"fix", m.fix.empty() ? nlohmann::json(nullptr) : nlohmann::json(m.fix)}});
+  return list;
+}
+
 void SuspendWatch::look() {
   timespec since_boot{};
   clock_gettime(CLOCK_BOOTTIME, &since_boot);
@@ -92,10 +101,8 @@ void Sensors::keep_gpu(const probe::TracingDevice& device, const probe::Root& ro
 }
 
 std::string Sensors::missing_json() const {
-  nlohmann::json missing = nlohmann::json::array();
-  for (const probe::Missing& m : discovery_.missing)
-    missing.push_back({{"source", m.source}, {"reason", m.reason}, {"fix", m.fix}});
-  return missing.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
+  return app::missing_json(discovery_.missing)
+      .dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
 }
 
 std::string Sensors::verdict() const { return probe::verdict(discovery_); }

@@ -34,6 +34,9 @@ class SuspendWatch {
   std::vector<Event> events_;
 };
 
+/// [{source, reason, fix}], without a fix null.
+nlohmann::json missing_json(const std::vector<probe::Missing>& missing);
+
 class Sensors {
  public:
   /// Discovers the config's sources below `root`. Throws std::runtime_error when a quantity that
@@ -41,7 +44,7 @@ class Sensors {
   Sensors(const std::string& root, const Config& config, const probe::Selection& selection);
 
   [[nodiscard]] const std::vector<Channel>& channels() const { return channels_; }
-  /// [{source, reason, fix}] as JSON text; bytes that are no UTF-8 are replaced.
+  /// missing_json() as text; bytes that are no UTF-8 are replaced.
   [[nodiscard]] std::string missing_json() const;
   [[nodiscard]] std::string verdict() const;
 

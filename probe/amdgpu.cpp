@@ -366,8 +366,7 @@ void discover_amdgpu(const Root& root, Discovery& discovery) {
     const std::string device = named.card.path + "/device";
     SourceTraits traits;
     traits.slow = true;
-    // Where the GPU may be suspended, drivers before Linux 6.13 wake it for a read.
-    traits.wakes_device = root.read_line(device + "/power/control") != "on";
+    traits.wakes_device = may_sleep(root, device);  // drivers before Linux 6.13 wake it
     traits.gpu = named.card.gpu;
     const Card card{root,     named.prefix, device, pci_device_of(root, device), std::move(traits),
                     discovery};

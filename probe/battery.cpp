@@ -10,6 +10,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cerrno>
 #include <limits>
 #include <utility>
 
@@ -111,8 +112,9 @@ void discover_one(const Root& root, const std::string& entry, Discovery& discove
     return;
   }
   BatterySource::Files files{TextFile(root, supply + "/status"), {}, {}, {}, {}};
-  CheckedFile power = check_int_file(root, supply + "/power_now");
-  CheckedFile current = check_int_file(root, supply + "/current_now");
+  // ENODEV of a rate: the battery does not know it now, as at times after a change of the supply.
+  CheckedFile power = check_int_file(root, supply + "/power_now", ENODEV);
+  CheckedFile current = check_int_file(root, supply + "/current_now", ENODEV);
   CheckedFile voltage = check_int_file(root, supply + "/voltage_now");
   CheckedFile energy = check_int_file(root, supply + "/energy_now");
   std::vector<Channel> channels;
@@ -126,10 +128,17 @@ void discover_one(const Root& root, const std::string& entry, Discovery& discove
     channel.origin = std::move(origin);
     channels.push_back(std::move(channel));
   };
-  if (power.problem.empty()) {
+  const auto is_use = [&](const CheckedFile& file) {
+    if (file.error != ENODATA) return file.problem.empty();
+    discovery.missing.push_back(
+        {"battery", fmt::format("'{}' says that it is unknown now", file.file.path()), ""});
+    return true;
+  };
+  const bool has_product = current.problem.empty() && voltage.problem.empty();
+  if (power.problem.empty() || (!has_product && is_use(power))) {
     add("power", Quantity::power, Unit::microwatt, Kind::average, power.file.path());
     files.power_uw.emplace(std::move(power.file));
-  } else if (current.problem.empty() && voltage.problem.empty()) {
+  } else if (voltage.problem.empty() && is_use(current)) {
     add("power", Quantity::power, Unit::microwatt, Kind::average,
         fmt::format("{} x voltage_now", current.file.path()));
     files.current_ua.emplace(std::move(current.file));

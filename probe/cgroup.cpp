@@ -120,13 +120,8 @@ class CgroupSource final : public SensorSource {
 };
 
 Channel quota_channel(std::string name, Unit unit, std::string origin) {
-  Channel channel;
-  channel.name = std::move(name);
-  channel.quantity = Quantity::interference;
-  channel.unit = unit;
-  channel.kind = Kind::cumulative;
-  channel.origin = std::move(origin);
-  return channel;
+  return make_channel(std::move(name), Quantity::interference, unit, Kind::cumulative,
+                      std::move(origin));
 }
 
 }  // namespace

@@ -141,26 +141,9 @@ void observe_slow(Observation& one, int64_t budget_ns) {
   }
 }
 
-bool is_suspended(const Root& root, const std::string& gpu) {
-  return root.read_line(fmt::format("sys/bus/pci/devices/{}/power/runtime_status", gpu)) ==
-         "suspended";
-}
-
-// Marks the sources whose read wakes their GPU. A GPU that is awake already tells nothing.
-void try_waking(Discovery& discovery, const Root& root) {
-  for (const auto& source : discovery.sources) {
-    const SourceTraits& traits = source->traits();
-    if (traits.gpu.empty() || traits.wakes_device || !is_suspended(root, traits.gpu)) continue;
-    std::vector<Reading> readings(source->channels().size());
-    source->poll(readings);
-    if (!is_suspended(root, traits.gpu)) source->mark_waking();
-  }
-}
-
 }  // namespace
 
 void characterize(Discovery& discovery, const Root& root, const CharacterizeBudget& budget) {
-  try_waking(discovery, root);
   std::vector<Observation> observations;
   observations.reserve(discovery.sources.size());
   for (const auto& source : discovery.sources) observations.emplace_back(*source);

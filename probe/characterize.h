@@ -27,8 +27,7 @@ struct CharacterizeBudget {
 ///
 /// A source of which a poll takes longer than 200 us in the median is taken for a slow one. A
 /// source whose channels all turn out to change more rarely than twice in its period is polled at
-/// half their update period. A source whose first poll wakes its GPU (power/runtime_status goes
-/// from suspended to active) is marked as waking it.
+/// half their update period.
 ///
 /// Takes as long as the longer of the two budgets, unless a single read is slower.
 void characterize(Discovery& discovery, const Root& root, const CharacterizeBudget& budget = {});

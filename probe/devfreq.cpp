@@ -171,17 +171,6 @@ class TransSource final : public SensorSource {
   std::vector<char> buffer_;
 };
 
-Channel make_channel(std::string name, Quantity quantity, Unit unit, Kind kind,
-                     std::string origin) {
-  Channel channel;
-  channel.name = std::move(name);
-  channel.quantity = quantity;
-  channel.unit = unit;
-  channel.kind = kind;
-  channel.origin = std::move(origin);
-  return channel;
-}
-
 void discover_clocks(const Root& root, const std::string& device, const std::string& prefix,
                      const SourceTraits& traits, Discovery& discovery) {
   const std::optional<int64_t> highest = highest_listed(root, device + "/available_frequencies");
@@ -315,8 +304,7 @@ void discover_kgsl(const Root& root, Discovery& discovery) {
     std::vector<FileChannel> heat;
     const auto add = [&](std::vector<FileChannel>& rows, const char* what, Quantity quantity,
                          Unit unit, std::optional<int64_t> limit, const char* file) {
-      Channel channel =
-          make_channel(fmt::format("{}.{}", prefix, what), quantity, unit, Kind::gauge, {});
+      Channel channel = make_channel(fmt::format("{}.{}", prefix, what), quantity, unit);
       channel.limit = limit;
       add_file_row(root, discovery, "devfreq", rows, std::move(channel),
                    fmt::format("{}/{}", device, file));
@@ -363,7 +351,24 @@ bool is_driven_as_gpu(const Root& root, const std::string& device) {
   return false;
 }
 
+// As SourceTraits::gpu.
+std::string gpu_of_entry(const Root& root, const std::string& entry) {
+  std::string gpu = gpu_of_device(root, fmt::format("{}/{}/device", class_dir, entry));
+  return gpu.empty() ? device_name(root, entry) : gpu;
+}
+
+bool is_gpu(const Root& root, const std::string& entry) {
+  return is_gpu_name(device_name(root, entry)) ||
+         is_driven_as_gpu(root, fmt::format("{}/{}", class_dir, entry));
+}
+
 }  // namespace
+
+std::string only_devfreq_gpu(const Root& root) {
+  const std::vector<std::string> entries = root.list(class_dir);
+  const bool is_one = entries.size() == 1 && is_gpu(root, entries.front());
+  return is_one ? gpu_of_entry(root, entries.front()) : "";
+}
 
 void discover_devfreq(const Root& root, Discovery& discovery) {
   const size_t source_count = discovery.sources.size();
@@ -373,15 +378,14 @@ void discover_devfreq(const Root& root, Discovery& discovery) {
   for (const std::string& entry : root.list(class_dir)) {
     const std::string device = fmt::format("{}/{}", class_dir, entry);
     const std::string name = device_name(root, entry);
-    if (!is_gpu_name(name) && !is_driven_as_gpu(root, device)) {
+    if (!is_gpu(root, entry)) {
       others.push_back(name);
       continue;
     }
     const size_t sources_before = discovery.sources.size();
     const size_t missing_before = discovery.missing.size();
     const std::string prefix = "devfreq." + slug(name);
-    std::string gpu = gpu_of_device(root, device + "/device");
-    const SourceTraits traits{.gpu = gpu.empty() ? name : std::move(gpu)};
+    const SourceTraits traits{.gpu = gpu_of_entry(root, entry)};
     discover_clocks(root, device, prefix, traits, discovery);
     loads.insert(discover_load(root, device, prefix, traits, discovery));
     discover_transitions(root, device, prefix, traits, discovery);

@@ -20,6 +20,9 @@ namespace energyprof::probe {
 /// Kernel: Documentation/ABI/testing/sysfs-class-devfreq.
 void discover_devfreq(const Root& root, Discovery& discovery);
 
+/// The one device of the class, as SourceTraits::gpu, if it is a GPU; empty if there are others.
+std::string only_devfreq_gpu(const Root& root);
+
 /// Whether a device's name, driver or compatible text is that of a GPU: "fb000000.gpu",
 /// "17000000.ga10b". What throttles the memory for one ("soc:qcom,gpubw", "soc:qcom,kgsl-busmon")
 /// is none.

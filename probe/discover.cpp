@@ -122,6 +122,10 @@ struct Question {
   bool (*answers)(const Channel&);
 };
 bool is_gpu(const Channel& channel) { return !channel.gpu.empty(); }
+// Cooling by devfreq slows a GPU or the memory down, and not always says which.
+bool is_package(const Channel& channel) {
+  return !is_gpu(channel) && channel.name.find("devfreq") == std::string::npos;
+}
 bool is_watts(const Channel& channel) { return unit_info(channel.unit).si == "W"; }
 
 // clang-format off
@@ -133,7 +137,7 @@ constexpr std::array questions{
     Question{"CPU clock", [](const Channel& c) { return c.quantity == Quantity::frequency && !is_gpu(c); }},
     Question{"temperature", [](const Channel& c) { return c.quantity == Quantity::temperature; }},
     Question{"GPU throttling", [](const Channel& c) { return c.quantity == Quantity::throttle && is_gpu(c); }},
-    Question{"throttling of the package", [](const Channel& c) { return c.quantity == Quantity::throttle && !is_gpu(c); }},
+    Question{"throttling of the package", [](const Channel& c) { return c.quantity == Quantity::throttle && is_package(c); }},
     Question{"power limits", [](const Channel& c) { return c.quantity == Quantity::limit && is_watts(c); }},
     Question{"cache misses", [](const Channel& c) { return c.quantity == Quantity::cache_miss; }},
     Question{"memory traffic", [](const Channel& c) { return c.quantity == Quantity::memory_traffic; }},

@@ -64,6 +64,10 @@ std::string gpu_of_device(const Root& root, std::string_view device_path) {
   return std::string(path.substr(path.rfind('/') + 1));
 }
 
+bool may_sleep(const Root& root, std::string_view device_path) {
+  return root.read_line(fmt::format("{}/power/control", device_path)) != "on";
+}
+
 std::vector<DrmCard> list_drm_cards(const Root& root) {
   std::vector<DrmCard> cards;
   for (const std::string& entry : root.list(class_dir)) {
@@ -90,9 +94,8 @@ std::vector<NamedCard> drm_cards_of(const Root& root, std::string_view driver) {
 void report_absent_chip(const Root& root, const DrmCard& card, Discovery& discovery) {
   const std::string chips = card.path + "/device/hwmon";
   if (root.exists(chips)) return;
-  constexpr std::string_view integrated = "0000:00:02.0";
   const std::string_view why =
-      card.gpu == integrated
+      card.gpu == integrated_intel_gpu
           ? "as usual for an integrated GPU; its energy is RAPL's uncore, its temperature the "
             "package's"
           : "which a card of its own has from Linux 6.2 on, with CONFIG_HWMON";

@@ -11,6 +11,9 @@
 
 namespace energyprof::probe {
 
+/// Where an integrated Intel GPU is.
+inline constexpr std::string_view integrated_intel_gpu = "0000:00:02.0";
+
 /// One card of sys/class/drm.
 struct DrmCard {
   std::string path;    ///< below the root: "sys/class/drm/card1"
@@ -36,6 +39,10 @@ void report_absent_chip(const Root& root, const DrmCard& card, Discovery& discov
 /// The GPU behind a directory of sysfs that is, or is a link to, its device: its PCI address, else
 /// the last part of the device's path. Empty if the directory is not there.
 std::string gpu_of_device(const Root& root, std::string_view device_path);
+
+/// Whether the kernel may put a device to sleep while nothing uses it, so that a read wakes it,
+/// which takes milliseconds and watts: unless its power/control says "on".
+bool may_sleep(const Root& root, std::string_view device_path);
 
 /// The GPU behind a DRM node (VK_EXT_physical_device_drm); nullopt if the kernel lists none.
 std::optional<std::string> gpu_of_drm_node(const Root& root, int64_t major, int64_t minor);

@@ -21,34 +21,15 @@ FileSource::FileSource(std::string name, int64_t period_ns, std::vector<FileChan
                        SourceTraits traits)
     : SensorSource(std::move(name), period_ns, channels_of(rows), std::move(traits)) {
   files_.reserve(rows.size());
-  for (FileChannel& row : rows) files_.push_back(std::move(row.file));
+  for (FileChannel& row : rows) files_.push_back({std::move(row.file), row.is_value});
 }
 
 void FileSource::poll(std::span<Reading> out) noexcept {
-  for (size_t i = 0; i < files_.size(); ++i) out[i] = files_[i].read_int();
-}
-
-FileGroupSource::FileGroupSource(std::string name, int64_t period_ns, std::vector<Channel> channels,
-                                 FileGroups groups, Pick pick, SourceTraits traits)
-    : SensorSource(std::move(name), period_ns, std::move(channels), std::move(traits)),
-      groups_(std::move(groups)),
-      pick_(pick) {}
-
-void FileGroupSource::poll(std::span<Reading> out) noexcept {
-  for (size_t i = 0; i < groups_.size(); ++i) {
-    Reading best{.status = PollStatus::gone};
-    for (TextFile& file : groups_[i]) {
-      Reading reading = file.read_int();
-      if (pick_ == Pick::lowest_positive && reading.status == PollStatus::ok && reading.value <= 0)
-        reading.status = PollStatus::retry;
-      const bool wins =
-          pick_ == Pick::highest ? reading.value > best.value : reading.value < best.value;
-      const bool better = reading.status == PollStatus::ok
-                              ? best.status != PollStatus::ok || wins
-                              : reading.status < best.status;  // ok < retry < gone
-      if (better) best = reading;
-    }
-    out[i] = best;
+  for (size_t i = 0; i < files_.size(); ++i) {
+    out[i] = files_[i].file.read_int();
+    if (out[i].status == PollStatus::ok && files_[i].is_value != nullptr &&
+        !files_[i].is_value(out[i].value))
+      out[i].status = PollStatus::retry;
   }
 }
 

@@ -9,10 +9,19 @@
 
 namespace energyprof::probe {
 
+/// Temperatures beyond these are of inputs where nothing is connected, or of zones that are not
+/// set; limits beyond them, as drives give 65261 C, are none.
+inline constexpr int64_t lowest_temp_mc = -40'000;
+inline constexpr int64_t highest_temp_mc = 200'000;
+constexpr bool is_plausible_temp(int64_t temp_mc) {
+  return temp_mc >= lowest_temp_mc && temp_mc <= highest_temp_mc;
+}
+
 /// A channel and the file its value comes from.
 struct FileChannel {
   Channel channel;
   TextFile file;
+  bool (*is_value)(int64_t) = nullptr;  ///< whether a number is a sample; null: all are
 };
 
 class FileSource final : public SensorSource {
@@ -22,27 +31,11 @@ class FileSource final : public SensorSource {
   void poll(std::span<Reading> out) noexcept override;
 
  private:
-  std::vector<TextFile> files_;
-};
-
-/// Which of several files' values is a channel's.
-enum class Pick : uint8_t {
-  lowest_positive,  ///< of limits, where 0 is one that was never set
-  highest,          ///< of counters that mirror each other
-};
-
-/// A source whose channels each come from several files that say the same thing in different
-/// places. A file that went away counts no more; the channel is gone with the last of them.
-class FileGroupSource final : public SensorSource {
- public:
-  using FileGroups = std::vector<std::vector<TextFile>>;
-  FileGroupSource(std::string name, int64_t period_ns, std::vector<Channel> channels,
-                  FileGroups groups, Pick pick, SourceTraits traits = {});
-  void poll(std::span<Reading> out) noexcept override;
-
- private:
-  FileGroups groups_;
-  Pick pick_;
+  struct File {
+    TextFile file;
+    bool (*is_value)(int64_t);
+  };
+  std::vector<File> files_;
 };
 
 /// Adds the file as a row, or says in `discovery` why `source` cannot use it. An absent file is no

@@ -22,6 +22,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cerrno>
 #include <charconv>
 #include <limits>
 #include <map>
@@ -60,10 +61,6 @@ constexpr std::array items{
 // What a sensor should stay below: the first of these that is set. Of power, what is enforced in
 // the long run: crit is a peak that no average ever comes near.
 constexpr std::array<std::string_view, 3> temperature_limits{"crit", "max", "emergency"};
-// No temperature is beyond these: inputs where nothing is connected are, and drives without a limit
-// say 65261 C.
-constexpr int64_t lowest_mc = -40'000;
-constexpr int64_t highest_mc = 200'000;
 constexpr std::array<std::string_view, 3> power_limits{"cap", "max", "crit"};
 
 // Chips whose every read costs a firmware call, a disk command or a transfer.
@@ -74,19 +71,24 @@ constexpr std::array<std::string_view, 12> slow_chips{
 // Counts how often a Jetson's hardware throttled for its supply, and asks the firmware for it.
 constexpr std::string_view supply_chip = "soctherm_oc";
 
+// Drives, memory modules, radios and batteries: their alarms slow neither processor nor GPU down.
+constexpr std::array<std::string_view, 6> bystanders{"nvme", "drivetemp", "iwlwifi",
+                                                     "BAT",  "spd5118",   "jc42"};
+
 // Drivers of GPUs: what their chips say belongs to the GPU. A read may ask the GPU's firmware.
 constexpr std::array<std::string_view, 9> gpu_chips{
     "amdgpu", "i915", "xe", "nouveau", "radeon", "panfrost", "panthor", "lima", "msm"};
 
-bool is_costly(std::string_view chip) {
-  return std::any_of(slow_chips.begin(), slow_chips.end(),
+template <size_t N>
+bool is_one_of(std::string_view chip, const std::array<std::string_view, N>& names) {
+  return std::any_of(names.begin(), names.end(),
                      [&](std::string_view name) { return chip.starts_with(name); });
 }
 
 // coretemp answers from memory, anew once a second.
 int64_t period_of(std::string_view chip) {
   if (chip == "acpitz") return 5 * ns_per_s;  // the thermal zone again: firmware code at every read
-  return is_costly(chip) || chip == "coretemp" ? ns_per_s : 100 * ns_per_ms;
+  return is_one_of(chip, slow_chips) || chip == "coretemp" ? ns_per_s : 100 * ns_per_ms;
 }
 
 struct Chip {
@@ -132,14 +134,17 @@ std::vector<Chip> list_chips(const Root& root) {
     chip.id = slug(chip.name);
     const bool is_gpu = std::find(gpu_chips.begin(), gpu_chips.end(), chip.name) != gpu_chips.end();
     if (is_gpu) chip.traits.gpu = gpu_of_device(root, chip.path + "/device");
+    chip.traits.wakes_device = is_gpu && may_sleep(root, chip.path + "/device");
     if (is_gpu && chip.traits.gpu.empty() && chip.device != entry) chip.traits.gpu = chip.device;
-    chip.traits.slow =
-        is_gpu || is_i2c_address(chip.device) || is_costly(chip.name) || chip.name == supply_chip;
+    chip.traits.slow = is_gpu || is_i2c_address(chip.device) || is_one_of(chip.name, slow_chips) ||
+                       chip.name == supply_chip;
     ++name_count[chip.id];
     chips.push_back(std::move(chip));
   }
-  for (Chip& chip : chips)
+  for (Chip& chip : chips) {
     if (name_count[chip.id] > 1) chip.id += '@' + slug(chip.device);
+    chip.traits.chip = chip.id;
+  }
   return chips;
 }
 
@@ -154,6 +159,13 @@ std::optional<int64_t> limit_of(const Root& root, const Chip& chip, const std::s
   return std::nullopt;
 }
 
+// Why a file is no use as a channel; empty: it is. An amdgpu that sleeps or is being reset refuses
+// reads (Linux 6.13), and answers when it is awake.
+std::string problem_of(const Chip& chip, const CheckedFile& checked) {
+  const bool is_asleep = chip.name == "amdgpu" && checked.error == EPERM;
+  return is_asleep ? std::string() : checked.problem;
+}
+
 bool is_switched_off(const Root& root, const Chip& chip, const std::string& sensor) {
   return root.read_line(fmt::format("{}/{}_enable", chip.path, sensor)) == "0";
 }
@@ -163,7 +175,7 @@ std::string why_no_temperature(const Root& root, const Chip& chip, const std::st
                                const CheckedFile& temp) {
   if (root.read_line(fmt::format("{}/{}_fault", chip.path, sensor)) == "1")
     return fmt::format("'{}' is of a sensor that says it is faulty", temp.file.path());
-  if (!temp.value || (*temp.value >= lowest_mc && *temp.value <= highest_mc)) return {};
+  if (!temp.value || is_plausible_temp(*temp.value)) return {};
   return fmt::format("'{}' reads {} C: it is not measuring", temp.file.path(),
                      static_cast<double>(*temp.value) / 1000.0);
 }
@@ -262,6 +274,7 @@ size_t discover_rails(const Root& root, const Chip& chip, const std::vector<std:
     if (is_no_rail(root, chip, *number, label)) continue;
     CheckedFile voltage = check_int_file(root, fmt::format("{}/{}_input", chip.path, sensor));
     CheckedFile current = check_int_file(root, fmt::format("{}/{}", chip.path, file));
+    if (voltage.error == ENOENT) continue;  // of a chip that tells no voltage beside its current
     const std::string& problem = voltage.problem.empty() ? current.problem : voltage.problem;
     if (!problem.empty()) {
       discovery.missing.push_back({"hwmon", problem, ""});
@@ -311,13 +324,14 @@ size_t discover_alarms(const Root& root, const Chip& chip, const std::vector<std
           (label == "nc" || is_switched_off(root, chip, fmt::format("in{}", *number))))
         continue;
       CheckedFile checked = check_int_file(root, fmt::format("{}/{}", chip.path, file));
-      if (!checked.problem.empty()) {
-        discovery.missing.push_back({"hwmon", checked.problem, ""});
+      if (std::string problem = problem_of(chip, checked); !problem.empty()) {
+        discovery.missing.push_back({"hwmon", std::move(problem), ""});
         continue;
       }
       Channel channel;
       channel.name = channel_name(chip, label, sensor, item, taken);
-      channel.quantity = Quantity::throttle;
+      channel.quantity =
+          is_one_of(chip.name, bystanders) ? Quantity::utilization : Quantity::throttle;
       channel.unit = Unit::count;
       channel.kind = Kind::flag;
       rows.push_back({std::move(channel), std::move(checked.file)});
@@ -341,7 +355,7 @@ size_t discover_power_limits(const Root& root, const Chip& chip,
     const std::string sensor = fmt::format("power{}", number);
     for (const std::string_view item : power_limits) {
       CheckedFile checked = check_int_file(root, fmt::format("{}/{}_{}", chip.path, sensor, item));
-      if (!checked.value || *checked.value <= 0) continue;
+      if (!problem_of(chip, checked).empty() || checked.value.value_or(1) <= 0) continue;
       Channel channel;
       channel.name = channel_name(chip, label_of(root, chip, sensor), sensor, "power_limit", taken);
       channel.quantity = Quantity::limit;
@@ -389,7 +403,8 @@ size_t discover_iio_rails(const Root& root, Discovery& discovery) {
       }
     }
     rail_count += rows.size();
-    add_file_source(discovery, "hwmon", period_of(chip.name), std::move(rows), {.slow = true});
+    add_file_source(discovery, "hwmon", period_of(chip.name), std::move(rows),
+                    {.slow = true, .chip = chip.id});
   }
   return rail_count;
 }
@@ -407,11 +422,18 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
       const std::string sensor = fmt::format("{}{}", item.prefix, *number);
       if (is_switched_off(root, chip, sensor)) continue;
       CheckedFile checked = check_int_file(root, fmt::format("{}/{}", chip.path, file));
-      if (!checked.problem.empty()) {
-        discovery.missing.push_back({"hwmon", checked.problem, ""});
+      if (std::string problem = problem_of(chip, checked); !problem.empty()) {
+        discovery.missing.push_back({"hwmon", std::move(problem), ""});
         continue;
       }
-      if (item.quantity == Quantity::temperature) {
+      // B580: energy1 of the card. A GPU that was on has used energy.
+      if (item.quantity == Quantity::energy && !chip.traits.gpu.empty() && checked.value == 0) {
+        discovery.missing.push_back(
+            {"hwmon", fmt::format("'{}' is 0: unsupported, not 0 J", checked.file.path()), ""});
+        continue;
+      }
+      const bool is_temp = item.quantity == Quantity::temperature;
+      if (is_temp) {
         if (std::string why = why_no_temperature(root, chip, sensor, checked); !why.empty()) {
           discovery.missing.push_back({"hwmon", std::move(why), ""});
           continue;
@@ -422,12 +444,13 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
       channel.quantity = item.quantity;
       channel.unit = item.unit;
       channel.kind = item.kind;
-      if (item.quantity == Quantity::temperature)
-        channel.limit = limit_of(root, chip, sensor, temperature_limits, highest_mc);
+      if (is_temp)
+        channel.limit = limit_of(root, chip, sensor, temperature_limits, highest_temp_mc);
       if (item.quantity == Quantity::power)
         channel.limit = limit_of(root, chip, sensor, power_limits);
       has_power = has_power || item.quantity == Quantity::power;
-      rows.push_back({std::move(channel), std::move(checked.file)});
+      rows.push_back(
+          {std::move(channel), std::move(checked.file), is_temp ? &is_plausible_temp : nullptr});
     }
   }
   size_t channel_count = rows.size();

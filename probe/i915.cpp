@@ -57,10 +57,7 @@ std::vector<Gt> list_gts(const Root& root, const NamedCard& named) {
 }
 
 Channel clock_channel(std::string name, Quantity quantity, std::optional<int64_t> limit) {
-  Channel channel;
-  channel.name = std::move(name);
-  channel.quantity = quantity;
-  channel.unit = Unit::megahertz;
+  Channel channel = make_channel(std::move(name), quantity, Unit::megahertz);
   channel.limit = limit;
   return channel;
 }
@@ -111,11 +108,8 @@ void discover_gt(const Root& root, const Gt& gt, const std::string& gpu, Discove
                         "throttle_reason_status", gpu))
     discovery.missing.push_back(no_reasons(root, gt));
 
-  Channel idle;
-  idle.name = gt.prefix + ".rc6_residency";
-  idle.quantity = Quantity::utilization;
-  idle.unit = Unit::millisecond;
-  idle.kind = Kind::cumulative;
+  Channel idle = make_channel(gt.prefix + ".rc6_residency", Quantity::utilization,
+                              Unit::millisecond, Kind::cumulative);
   idle.wrap_at = std::numeric_limits<uint32_t>::max();
   std::vector<FileChannel> residency;
   add_file_row(root, discovery, "i915", residency, std::move(idle), gt.rc6_file);

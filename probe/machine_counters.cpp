@@ -1,6 +1,7 @@
 #include "probe/machine_counters.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <array>
@@ -8,6 +9,7 @@
 #include <utility>
 
 #include "core/clock.h"
+#include "probe/drm_card.h"
 #include "probe/names.h"
 #include "probe/text_file.h"
 
@@ -52,7 +54,7 @@ constexpr std::array rapl_events{
 
 // The GPU that a unit is called after: "i915" is the integrated one, "xe_0000_03_00.0" says which.
 std::string gpu_of_pmu(std::string_view pmu, std::string_view driver) {
-  if (pmu.size() <= driver.size()) return "0000:00:02.0";
+  if (pmu.size() <= driver.size()) return std::string(integrated_intel_gpu);
   std::string gpu(pmu.substr(driver.size() + 1));
   std::replace(gpu.begin(), gpu.end(), '_', ':');
   return gpu;
@@ -140,6 +142,11 @@ void add_traffic(std::vector<ChannelPlan>& plans, std::string_view channel, Chan
   }
 }
 
+bool is_intel_controller(std::string_view pmu) {
+  return pmu.starts_with("uncore_") && pmu.find("imc") != std::string_view::npos;
+}
+bool is_amd_controller(std::string_view pmu) { return is_numbered(pmu, "amd_umc_"); }
+
 // The traffic of all memory controllers, from one of the two kinds of their counters.
 std::vector<ChannelPlan> plan_controllers(const Root& root, bool free_running,
                                           Discovery& discovery) {
@@ -147,16 +154,25 @@ std::vector<ChannelPlan> plan_controllers(const Root& root, bool free_running,
     std::string_view event;
     std::string_view channel;
   };
-  constexpr std::array rows{
-      Row{"data_reads", "uncore.imc.read"},     Row{"data_writes", "uncore.imc.write"},
-      Row{"data_read", "uncore.imc.read"},      Row{"data_write", "uncore.imc.write"},
-      Row{"read", "uncore.imc.read"},           Row{"write", "uncore.imc.write"},
-      Row{"cas_count_read", "uncore.imc.read"}, Row{"cas_count_write", "uncore.imc.write"},
-      Row{"gt_requests", "uncore.imc.gt"},      Row{"ia_requests", "uncore.imc.ia"},
-      Row{"io_requests", "uncore.imc.io"}};
+  // Granite Rapids tells the two subchannels of a controller apart.
+  constexpr std::array rows{Row{"cas_count_read_sch0", "uncore.imc.read"},
+                            Row{"cas_count_read_sch1", "uncore.imc.read"},
+                            Row{"cas_count_write_sch0", "uncore.imc.write"},
+                            Row{"cas_count_write_sch1", "uncore.imc.write"},
+                            Row{"data_reads", "uncore.imc.read"},
+                            Row{"data_writes", "uncore.imc.write"},
+                            Row{"data_read", "uncore.imc.read"},
+                            Row{"data_write", "uncore.imc.write"},
+                            Row{"read", "uncore.imc.read"},
+                            Row{"write", "uncore.imc.write"},
+                            Row{"cas_count_read", "uncore.imc.read"},
+                            Row{"cas_count_write", "uncore.imc.write"},
+                            Row{"gt_requests", "uncore.imc.gt"},
+                            Row{"ia_requests", "uncore.imc.ia"},
+                            Row{"io_requests", "uncore.imc.io"}};
   std::vector<ChannelPlan> plans;
   for (const std::string& name : list_pmus(root)) {
-    if (!name.starts_with("uncore_") || name.find("imc") == std::string::npos ||
+    if (!is_intel_controller(name) ||
         (name.find("free_running") != std::string::npos) != free_running)
       continue;
     const auto pmu = read_pmu(root, name);
@@ -176,7 +192,7 @@ std::vector<ChannelPlan> plan_amd_controllers(const Root& root) {
   constexpr long double bytes_per_command = 64;
   std::vector<ChannelPlan> plans;
   for (const std::string& name : list_pmus(root)) {
-    if (!is_numbered(name, "amd_umc_")) continue;
+    if (!is_amd_controller(name)) continue;
     const auto pmu = read_pmu(root, name);
     if (!pmu) continue;
     for (const auto& [channel, event] : {std::pair{"uncore.umc.read", "event=0x0a,rdwrmask=0x1"},
@@ -260,11 +276,19 @@ std::vector<ChannelPlan> plan_uncore(const Root& root, Discovery& discovery) {
 
 void discover_uncore(const Root& root, Discovery& discovery) {
   std::vector<ChannelPlan> plans = plan_uncore(root, discovery);
-  if (plans.empty())
-    discovery.missing.push_back({"uncore",
-                                 "no perf unit of a memory controller that counts its traffic: "
-                                 "usual in a virtual machine, on ARM and on AMD before Zen 4",
-                                 ""});
+  if (plans.empty()) {
+    std::vector<std::string> units = list_pmus(root);
+    std::erase_if(units, [](const std::string& unit) {
+      return !is_intel_controller(unit) && !is_amd_controller(unit);
+    });
+    discovery.missing.push_back(
+        {"uncore",
+         units.empty() ? "no perf unit of a memory controller: usual in a virtual machine, on ARM "
+                         "and on AMD before Zen 4"
+                       : fmt::format("{}: no event that is known here to count traffic",
+                                     fmt::join(units, ", ")),
+         ""});
+  }
   add_counters(root, discovery, "uncore", counter_period_ns, std::move(plans), {});
 }
 

@@ -11,9 +11,11 @@
 #include <array>
 #include <cerrno>
 #include <charconv>
+#include <tuple>
 #include <utility>
 
 #include "core/clock.h"
+#include "probe/drm_card.h"
 #include "probe/text_file.h"
 
 namespace energyprof::probe {
@@ -99,14 +101,16 @@ struct Field {
   uint64_t mask = 0;
   uint64_t factor = 1;  // value = (bits & mask) * factor >> shift
   int shift = 0;
-  bool is_absent_at_zero = false;  // a limit that was never set
+  uint64_t enable = 0;  // bits of the register without which the value means nothing
 };
+
+bool is_enabled(const Field& field, uint64_t bits) { return (bits & field.enable) == field.enable; }
 
 class MsrSource final : public SensorSource {
  public:
   MsrSource(int64_t period_ns, std::vector<Channel> channels, std::vector<Field> fields,
-            std::shared_ptr<Registers> registers)
-      : SensorSource("msr", period_ns, std::move(channels)),
+            std::shared_ptr<Registers> registers, SourceTraits traits)
+      : SensorSource("msr", period_ns, std::move(channels), std::move(traits)),
         fields_(std::move(fields)),
         registers_(std::move(registers)) {}
 
@@ -120,7 +124,7 @@ class MsrSource final : public SensorSource {
       if (!value.bits) continue;
       const uint64_t raw = (*value.bits >> field.first_bit) & field.mask;
       out[i].value = static_cast<int64_t>((raw * field.factor) >> field.shift);
-      if (field.is_absent_at_zero && raw == 0) out[i].status = PollStatus::retry;
+      if (!is_enabled(field, *value.bits)) out[i].status = PollStatus::retry;
     }
   }
 
@@ -129,19 +133,35 @@ class MsrSource final : public SensorSource {
   std::shared_ptr<Registers> registers_;
 };
 
+// Whether another source gives what is called `name` here. Where there are several packages, or
+// dies in one, others call a part of the first one "rapl.package-0.dram.energy" or
+// "rapl.package-0-die-0.dram.energy", and the package itself "rapl.package-0-die-0.energy".
+bool is_known(const Discovery& discovery, const std::string& name) {
+  constexpr std::string_view package = "rapl.package-0";
+  constexpr std::string_view all = "rapl";
+  if (discovery.has_channel(name)) return true;
+  if (!name.starts_with(all)) return false;
+  const std::string what = name.substr(name.starts_with(package) ? package.size() : all.size());
+  return discovery.has_channel(fmt::format("{}{}", package, what)) ||
+         discovery.has_channel(fmt::format("{}-die-0{}", package, what));
+}
+
 // Channels of one period that are being gathered.
 class Gathering {
  public:
   Gathering(std::shared_ptr<Registers> registers, Discovery& discovery)
       : registers_(std::move(registers)), discovery_(discovery) {}
 
-  // Adds the channel if its register is there and no other source gives it.
+  // Adds the channel if its register is there, the field enabled, and no other source gives it.
   Channel* add(std::string name, Quantity quantity, Unit unit, Kind kind, const Field& field) {
-    // With several packages others call a part of this one "rapl.package-0.dram.energy".
-    const bool is_known =
-        discovery_.has_channel(name) ||
-        (name.starts_with("rapl.") && discovery_.has_channel("rapl.package-0." + name.substr(5)));
-    if (is_known || !registers_->read(field.number).bits) return nullptr;
+    if (is_known(discovery_, name)) return nullptr;
+    const std::optional<uint64_t> bits = registers_->read(field.number).bits;
+    if (!bits) return nullptr;
+    if (!is_enabled(field, *bits)) {
+      discovery_.missing.push_back(
+          {"msr", fmt::format("{} is not enabled in MSR {:#x}", name, field.number), ""});
+      return nullptr;
+    }
     Channel channel;
     channel.name = std::move(name);
     channel.quantity = quantity;
@@ -153,10 +173,11 @@ class Gathering {
     return &channels_.back();
   }
 
-  void finish(int64_t period_ns) {
+  void finish(int64_t period_ns, SourceTraits traits = {}) {
     if (!channels_.empty())
-      discovery_.sources.push_back(std::make_unique<MsrSource>(
-          period_ns, std::exchange(channels_, {}), std::exchange(fields_, {}), registers_));
+      discovery_.sources.push_back(
+          std::make_unique<MsrSource>(period_ns, std::exchange(channels_, {}),
+                                      std::exchange(fields_, {}), registers_, std::move(traits)));
   }
 
  private:
@@ -234,36 +255,64 @@ ServerUnits server_units(int64_t model) {
   return {is_listed || is_rapids, is_rapids};
 }
 
-void discover_intel(Gathering& gathering, Registers& registers, uint64_t units, int64_t model) {
+bool has_integrated_gpu(const Root& root) {
+  const std::vector<DrmCard> cards = list_drm_cards(root);
+  return std::any_of(cards.begin(), cards.end(),
+                     [](const DrmCard& card) { return card.gpu == integrated_intel_gpu; });
+}
+
+void discover_intel(const Root& root, Gathering& gathering, Registers& registers, uint64_t units) {
   const int unit = static_cast<int>((units >> 8) & 0x1f);
-  const ServerUnits server = server_units(model);
+  const ServerUnits server = server_units(cpu_model(root));
   const std::array domains{Domain{"package-0", 0x611, unit}, Domain{"core", 0x639, unit},
                            Domain{"uncore", 0x641, unit},
                            Domain{"dram", 0x619, server.is_dram_16 ? 16 : unit},
                            Domain{"psys", 0x64d, server.is_psys_whole ? 0 : unit}};
   add_energy(gathering, domains);
   const int power_unit = static_cast<int>(units & 0xf);
-  for (const auto& [name, first_bit] : {std::pair{"pl1", 0}, std::pair{"pl2", 32}})
+  for (const auto& [name, first_bit, enable_bit] :
+       {std::tuple{"pl1", 0, 15}, std::tuple{"pl2", 32, 47}})
     gathering.add(fmt::format("rapl.package-0.{}", name), Quantity::limit, Unit::microwatt,
-                  Kind::gauge, {0x610, first_bit, 0x7fff, 1'000'000, power_unit, true});
+                  Kind::gauge,
+                  {0x610, first_bit, 0x7fff, 1'000'000, power_unit, uint64_t{1} << enable_bit});
   gathering.finish(limit_period_ns);
   if (registers.read(0x64f).bits)
     add_flags(gathering, "core", 0x64f, perf_limit_reasons);
   else
     add_flags(gathering, "core", 0x690, haswell_reasons);
-  add_flags(gathering, "gfx", 0x6b0, perf_limit_reasons);
   add_flags(gathering, "ring", 0x6b1, perf_limit_reasons);
   add_flags(gathering, "package", 0x1b1, package_reasons);
   gathering.finish(flag_period_ns);
+  if (!has_integrated_gpu(root)) return;
+  add_flags(gathering, "gfx", 0x6b0, perf_limit_reasons);
+  gathering.finish(flag_period_ns, {.gpu = std::string(integrated_intel_gpu)});
+}
+
+// Reads the registers as root, of the same tree.
+std::string command_as_root(const Root& root) {
+  std::string command = "sudo energyprof probe --allow-msr";
+  if (!root.is_host()) command += fmt::format(" --root '{}'", root.directory());
+  return command;
+}
+
+// Of "none [integrity] confidentiality" the word in brackets is in force.
+bool is_locked_down(const Root& root) {
+  const std::string state = root.read_line("sys/kernel/security/lockdown").value_or("");
+  return state.find('[') != std::string::npos && state.find("[none]") == std::string::npos;
 }
 
 Missing explain(const Root& root, int error) {
   const std::string path = root.display(root.is_host() ? device : table);
   const std::string reason = fmt::format("cannot read '{}': {}", path, errno_text(error));
   if (error == ENOENT) return {"msr", reason, root.is_host() ? "sudo modprobe msr" : ""};
+  if (error == EPERM && is_locked_down(root))
+    return {"msr", reason + "; the kernel's lockdown (Secure Boot) refuses it to everybody", ""};
+  // Root without the capability is root of a container.
   if (error == EPERM)
-    return {"msr", reason + "; Secure Boot's lockdown refuses it to everybody", ""};
-  if (error == EACCES) return {"msr", reason, "sudo energyprof probe --allow-msr"};
+    return {"msr", reason + "; it needs CAP_SYS_RAWIO",
+            geteuid() == 0 ? "docker run --cap-add SYS_RAWIO --device /dev/cpu/0/msr ..."
+                           : command_as_root(root)};
+  if (error == EACCES) return {"msr", reason, command_as_root(root)};
   return {"msr", reason + "; neither Intel's nor AMD's energy registers are there", ""};
 }
 
@@ -271,8 +320,7 @@ Missing explain(const Root& root, int error) {
 
 void discover_msr(const Root& root, const Selection& selection, Discovery& discovery) {
   if (!selection.allow_msr) {
-    discovery.missing.push_back(
-        {"msr", "not read unless allowed", "sudo energyprof probe --allow-msr"});
+    discovery.missing.push_back({"msr", "not read unless allowed", command_as_root(root)});
     return;
   }
   constexpr uint32_t intel_unit = 0x606;
@@ -282,7 +330,7 @@ void discover_msr(const Root& root, const Selection& selection, Discovery& disco
   Gathering gathering(registers, discovery);
   const Registers::Value intel = registers->read(intel_unit);
   if (intel.bits) {
-    discover_intel(gathering, *registers, *intel.bits, cpu_model(root));
+    discover_intel(root, gathering, *registers, *intel.bits);
   } else if (const auto amd = registers->read(amd_unit); amd.bits) {
     const int unit = static_cast<int>((*amd.bits >> 8) & 0x1f);
     const std::array domains{Domain{"package-0", 0xc001029b, unit},

@@ -10,9 +10,10 @@ namespace energyprof::probe {
 ///   rapl.<domain>.energy: nJ, cumulative, wraps with the 32-bit register; only domains that
 ///   neither
 ///     perf nor powercap gives
-///   rapl.package-0.pl1, .pl2: uW; likewise
+///   rapl.package-0.pl1, .pl2: uW; likewise, where they are enabled
 ///   msr.core.throttle.*, msr.gfx.throttle.*, msr.ring.throttle.*: flags, the status half of the
-///     perf-limit reasons (0x64f, 0x6b0, 0x6b1)
+///     perf-limit reasons (0x64f, 0x6b0, 0x6b1); gfx belongs to the integrated GPU, and is left out
+///     where there is none
 ///   msr.package.throttle.thermal, .prochot, .critical, .power_limit: flags of 0x1b1. PROCHOT
 ///   beside a
 ///     cool readout is asserted from outside: power supply or embedded controller.

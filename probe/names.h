@@ -10,6 +10,9 @@ namespace energyprof::probe {
 /// of others becomes one '_', none at the ends; at most 64. "unnamed" if nothing is left.
 std::string slug(std::string_view text);
 
+/// `text` without white space at its ends.
+std::string_view trim(std::string_view text);
+
 /// Whether `text` has a letter or digit that slug() keeps.
 bool has_name(std::string_view text);
 

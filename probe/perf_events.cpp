@@ -6,7 +6,7 @@
 
 #include <algorithm>
 #include <array>
-#include <cerrno>
+#include <map>
 #include <utility>
 
 #include "core/clock.h"
@@ -96,28 +96,6 @@ class PerfSource final : public SensorSource {
   Counter::Count last_;
 };
 
-bool is_refusal(int error) { return error == EACCES || error == EPERM; }
-
-// What the kernel would not open, at which level of mistrust, and how to change that.
-struct Refusal {
-  std::string names;
-  int error = 0;
-  bool only_in_kernel = false;  // all of them
-};
-
-Missing explain(const Root& root, const Refusal& refusal) {
-  const std::string paranoid =
-      root.read_line("proc/sys/kernel/perf_event_paranoid").value_or("unknown");
-  Missing missing{"perf",
-                  fmt::format("cannot count {}: {}; kernel.perf_event_paranoid is {}",
-                              refusal.names, errno_text(refusal.error), paranoid),
-                  "sudo sysctl kernel.perf_event_paranoid=1"};
-  // The kernel would allow it at this level: then a container's system call filter does not.
-  if (parse_int(paranoid).value_or(3) <= (refusal.only_in_kernel ? 1 : 2))
-    missing.fix = "docker run --cap-add PERFMON ...";
-  return missing;
-}
-
 // Opens events one by one and gathers what came of it.
 class Opening {
  public:
@@ -125,7 +103,7 @@ class Opening {
   explicit Opening(std::vector<int> cpus = {}) : cpus_(std::move(cpus)) {}
 
   /// The libpfm4 event; with a unit, on cores of that kind only. Returns whether it counts.
-  bool add(const NamedEvent& event, const Pmu* pmu, Discovery& discovery) {
+  bool add(const NamedEvent& event, const Pmu* pmu) {
     perf_event_attr attr{};
     attr.size = sizeof attr;
     pfm_perf_encode_arg_t encoding{};
@@ -134,7 +112,7 @@ class Opening {
     const int result = pfm_get_os_event_encoding(event.pfm_name, PFM_PLM0 | PFM_PLM3,
                                                  PFM_OS_PERF_EVENT, &encoding);
     if (result != PFM_SUCCESS) {
-      discovery.missing.push_back(
+      unknown_.push_back(
           {"perf",
            fmt::format("libpfm4 does not know '{}': {}", event.pfm_name, pfm_strerror(result)),
            ""});
@@ -143,12 +121,12 @@ class Opening {
     // On processors with two kinds of cores a generic event counts on one kind only unless the
     // unit's type stands in its upper half.
     if (pmu != nullptr) attr.config |= static_cast<uint64_t>(pmu->type) << 32;
-    CounterPlan plan{attr.type, {attr.config, attr.config1, attr.config2}, 0, -1, false};
+    CounterPlan plan{attr.type, {attr.config, attr.config1, attr.config2}, 0};
     Counters opened;
     int error = cpus_.empty() ? open_for_threads(event, plan, opened)
                               : open_on(pmu == nullptr ? cpus_ : pmu->cpus, plan, opened);
     if (error != 0) {
-      refuse(event, error);
+      refuse(event, pmu, error);
       return false;
     }
     Channel channel;
@@ -167,24 +145,16 @@ class Opening {
 
   [[nodiscard]] bool empty() const { return events_.empty(); }
 
-  /// One Missing for all that was refused, one for hardware events that do not exist here.
-  /// `condition` says why they were asked for in this way.
+  /// A Missing for each reason that something was not opened. `condition` says why it was asked for
+  /// in this way.
   void explain_failures(const Root& root, const std::string& condition,
                         Discovery& discovery) const {
-    if (!refusal_.names.empty() && cpus_.empty())
-      discovery.missing.push_back(explain(root, refusal_));
-    if (!refusal_.names.empty() && !cpus_.empty()) {
-      Missing missing = machine_wide_refusal(root, "perf", refusal_.names, refusal_.error);
+    for (const auto& [error, failure] : failures_) {
+      Missing missing = explain_counters(root, "perf", failure.names, error, failure.paranoid);
       missing.reason = condition + missing.reason;
       discovery.missing.push_back(std::move(missing));
     }
-    if (!absent_.empty())
-      discovery.missing.push_back(
-          {"perf",
-           fmt::format("{}cannot count {}: {}; usual in a virtual machine, which has no hardware "
-                       "counters",
-                       condition, absent_, errno_text(absent_error_)),
-           ""});
+    for (const Missing& missing : unknown_) discovery.missing.push_back(missing);
   }
 
   /// Adds what was opened as a source.
@@ -227,38 +197,34 @@ class Opening {
     return 0;
   }
 
-  void refuse(const NamedEvent& event, int error) {
-    const auto append = [&](std::string& names) {
-      names += fmt::format("{}'{}'", names.empty() ? "" : ", ", event.pfm_name);
-    };
-    if (is_refusal(error)) {
-      refusal_.only_in_kernel =
-          event.only_in_kernel && (refusal_.names.empty() || refusal_.only_in_kernel);
-      append(refusal_.names);
-      refusal_.error = error;
-    } else {
-      append(absent_);
-      absent_error_ = error;
-    }
+  void refuse(const NamedEvent& event, const Pmu* pmu, int error) {
+    Failure& failure = failures_[error];
+    failure.names += fmt::format("{}'{}'", failure.names.empty() ? "" : ", ", event.pfm_name);
+    if (pmu != nullptr) failure.names += " of " + pmu->name;
+    const int paranoid = !cpus_.empty() ? 0 : event.only_in_kernel ? 1 : 2;
+    failure.paranoid = std::min(failure.paranoid, paranoid);
   }
+
+  // What failed for the same reason, and the level of mistrust at which all of it would not.
+  struct Failure {
+    std::string names;
+    int paranoid = 2;
+  };
 
   std::vector<int> cpus_;
   std::vector<Channel> channels_;
   std::vector<Counters> events_;
-  Refusal refusal_;
-  std::string absent_;
-  int absent_error_ = 0;
+  std::map<int, Failure> failures_;  // by errno
+  std::vector<Missing> unknown_;
 };
 
 // The hardware events, of threads where that costs little and else of processors.
 void discover_hardware_events(const Root& root, Discovery& discovery) {
-  std::vector<Pmu> kinds_of_cores;
-  for (const char* name : {"cpu_core", "cpu_atom"})
-    if (auto pmu = read_pmu(root, name)) kinds_of_cores.push_back(std::move(*pmu));
+  const std::vector<Pmu> kinds_of_cores = list_core_pmus(root);
   const auto open_all = [&](Opening& opening) {
     for (const NamedEvent& event : hardware_events) {
-      if (kinds_of_cores.empty()) opening.add(event, nullptr, discovery);
-      for (const Pmu& pmu : kinds_of_cores) opening.add(event, &pmu, discovery);
+      if (kinds_of_cores.empty()) opening.add(event, nullptr);
+      for (const Pmu& pmu : kinds_of_cores) opening.add(event, &pmu);
     }
   };
   const auto plain_ns = thread_switch_ns();
@@ -297,7 +263,7 @@ void discover_perf_events(const Root& root, const Selection& selection, Discover
   Opening of_threads;
   bool sees_switches = false;
   for (const NamedEvent& event : software_events)
-    sees_switches = of_threads.add(event, nullptr, discovery) || sees_switches;
+    sees_switches = of_threads.add(event, nullptr) || sees_switches;
   of_threads.explain_failures(root, "", discovery);
   of_threads.finish(false, discovery);
   if (!sees_switches) add_process_usage(selection, discovery);

@@ -17,7 +17,9 @@
 #include <cerrno>
 #include <charconv>
 #include <cmath>
+#include <filesystem>
 #include <limits>
+#include <system_error>
 #include <utility>
 
 #include "core/clock.h"
@@ -46,12 +48,6 @@ std::string_view take(std::string_view& text, char separator) {
   const std::string_view part = text.substr(0, end);
   text.remove_prefix(std::min(end + 1, text.size()));
   return part;
-}
-
-std::string_view trim(std::string_view text) {
-  const size_t begin = text.find_first_not_of(" \t\r\n");
-  if (begin == std::string_view::npos) return {};
-  return text.substr(begin, text.find_last_not_of(" \t\r\n") - begin + 1);
 }
 
 // "config", "config1", "config2" -> 0, 1, 2.
@@ -120,6 +116,7 @@ ChannelPlan plan_code(const Pmu& pmu, std::string_view event, const EventCode& c
   CounterPlan counter;
   counter.type = pmu.type;
   counter.config = code.config;
+  counter.pinned = true;
   for (const int cpu : pmu.cpus) {
     counter.cpu = cpu;
     plan.counters.push_back(counter);
@@ -167,7 +164,12 @@ class CounterSource final : public SensorSource {
   std::vector<Row> rows_;
 };
 
-bool is_refusal(int error) { return error == EACCES || error == EPERM; }
+// The program that runs, as a word of a command: what is found on PATH may be another one.
+std::string running_binary() {
+  std::error_code error;
+  const std::filesystem::path path = std::filesystem::read_symlink("/proc/self/exe", error);
+  return error ? "energyprof" : fmt::format("'{}'", path.string());
+}
 
 }  // namespace
 
@@ -214,6 +216,15 @@ EventCode encode_event(std::string_view event, const std::map<std::string, std::
 }
 
 std::vector<std::string> list_pmus(const Root& root) { return root.list(devices_dir); }
+
+std::vector<Pmu> list_core_pmus(const Root& root) {
+  std::vector<Pmu> kinds;
+  for (const std::string& name : list_pmus(root))
+    if (root.exists(fmt::format("{}/{}/cpus", devices_dir, name)))
+      if (auto pmu = read_pmu(root, name)) kinds.push_back(std::move(*pmu));
+  if (kinds.size() == 1) kinds.clear();
+  return kinds;
+}
 
 std::optional<Pmu> read_pmu(const Root& root, std::string_view name) {
   Pmu pmu;
@@ -279,6 +290,7 @@ int Counter::open(const CounterPlan& plan) {
     attr.exclude_hv = 1;
     attr.exclude_kernel = plan.exclude_kernel ? 1 : 0;
   }
+  attr.pinned = plan.pinned ? 1 : 0;
   attr.read_format = PERF_FORMAT_TOTAL_TIME_ENABLED | PERF_FORMAT_TOTAL_TIME_RUNNING;
   const long fd = syscall(SYS_perf_event_open, &attr, plan.pid, plan.cpu, -1, PERF_FLAG_FD_CLOEXEC);
   return fd < 0 ? -errno : static_cast<int>(fd);
@@ -294,49 +306,71 @@ Counter::Count Counter::read() const noexcept {
   std::array<uint64_t, 3> words{};
   const ssize_t got = ::read(fd_, words.data(), sizeof words);
   if (got == static_cast<ssize_t>(sizeof words)) return {words[0], words[1], words[2], 0};
+  // The end of the file: a pinned counter that the hardware has no room for.
   return {0, 0, 0, got < 0 ? errno : ENODEV};
 }
 
-Missing machine_wide_refusal(const Root& root, const std::string& source, const std::string& names,
-                             int error) {
-  return {source,
-          fmt::format("cannot count {}: {}; kernel.perf_event_paranoid is {}, and events of the "
-                      "whole machine need 0 or less, or CAP_PERFMON",
-                      names, errno_text(error),
-                      root.read_line("proc/sys/kernel/perf_event_paranoid").value_or("unknown")),
-          "sudo setcap cap_perfmon+ep \"$(command -v energyprof)\""};
+bool is_refusal(int error) { return error == EACCES || error == EPERM; }
+
+Missing explain_counters(const Root& root, const std::string& source, const std::string& names,
+                         int error, int paranoid) {
+  Missing missing{source, fmt::format("cannot count {}: {}", names, errno_text(error)), ""};
+  if (is_refusal(error)) {
+    const std::string level =
+        root.read_line("proc/sys/kernel/perf_event_paranoid").value_or("unknown");
+    missing.reason += fmt::format("; kernel.perf_event_paranoid is {}", level);
+    if (parse_int(level).value_or(paranoid + 1) > paranoid) {
+      missing.reason += fmt::format(", and this needs {} or less, or CAP_PERFMON", paranoid);
+      missing.fix = "sudo setcap cap_perfmon+ep " + running_binary();
+    } else {
+      missing.reason += ", which allows it: a container's system call filter does not";
+      missing.fix = "docker run --cap-add PERFMON ...";
+    }
+  } else if (error == EMFILE) {
+    missing.reason += "; each counter on each processor is a file";
+    missing.fix = "ulimit -n \"$(ulimit -Hn)\"";
+  } else if (error == ENOENT || error == EOPNOTSUPP) {
+    missing.reason += "; usual in a virtual machine, which has no hardware counters";
+  }
+  return missing;
 }
 
 void add_counters(const Root& root, Discovery& discovery, const std::string& source,
                   int64_t period_ns, std::vector<ChannelPlan> plans, SourceTraits traits) {
   std::vector<Channel> channels;
   std::vector<CounterSource::Row> rows;
-  std::string refused;
-  int refusal = 0;
+  std::map<int, std::string> failures;  // errno -> what it was the answer to
+  std::string crowded_out;
+  const auto append = [](std::string& names, const std::string& name) {
+    names += fmt::format("{}'{}'", names.empty() ? "" : ", ", name);
+  };
   for (ChannelPlan& plan : plans) {
     CounterSource::Row row{plan.factor, {}};
     int error = 0;
+    bool has_room = true;
     for (const CounterPlan& counter : plan.counters) {
       const int fd = Counter::open(counter);
-      if (fd < 0)
+      if (fd < 0) {
         error = -fd;
-      else
-        row.counters.emplace_back(fd);
+        break;
+      }
+      has_room = row.counters.emplace_back(fd).read().error == 0 && has_room;
     }
-    if (error == 0) {
+    if (error != 0) {
+      append(failures[error], plan.channel.origin);
+    } else if (!has_room) {
+      append(crowded_out, plan.channel.origin);
+    } else {
       channels.push_back(std::move(plan.channel));
       rows.push_back(std::move(row));
-    } else if (is_refusal(error)) {
-      refused += fmt::format("{}'{}'", refused.empty() ? "" : ", ", plan.channel.origin);
-      refusal = error;
-    } else {
-      discovery.missing.push_back(
-          {source, fmt::format("cannot count '{}': {}", plan.channel.origin, errno_text(error)),
-           ""});
     }
   }
-  if (!refused.empty())
-    discovery.missing.push_back(machine_wide_refusal(root, source, refused, refusal));
+  for (const auto& [error, names] : failures)
+    discovery.missing.push_back(explain_counters(root, source, names, error, 0));
+  if (!crowded_out.empty())
+    discovery.missing.push_back(
+        {source,
+         fmt::format("cannot count {}: other programs use the unit's counters", crowded_out), ""});
   if (!channels.empty())
     discovery.sources.push_back(std::make_unique<CounterSource>(
         source, period_ns, std::move(channels), std::move(rows), std::move(traits)));

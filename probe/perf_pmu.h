@@ -28,6 +28,9 @@ struct Pmu {
 std::optional<Pmu> read_pmu(const Root& root, std::string_view name);
 /// Names of all units, in natural order.
 std::vector<std::string> list_pmus(const Root& root);
+/// The units of cores where there are several kinds of them, which list their `cpus`: cpu_core,
+/// cpu_atom, cpu_lowpower, armv8_cortex_a53. Empty where all cores are alike.
+std::vector<Pmu> list_core_pmus(const Root& root);
 
 /// config, config1 and config2 of perf_event_attr.
 struct EventCode {
@@ -49,6 +52,8 @@ struct CounterPlan {
   int pid = -1;  ///< -1: the whole machine; 0: the calling thread and what it starts
   int cpu = -1;  ///< -1: whatever it runs on
   bool exclude_kernel = false;
+  /// Counted always or, with the reading, refused: never a part of the time, with too low a value.
+  bool pinned = false;
 };
 
 /// One channel, the sum of its counters, each count worth `factor` in the channel's unit.
@@ -92,13 +97,18 @@ class Counter {
   int fd_;
 };
 
-/// Opens what was planned and adds a source of it; for what the kernel refuses a Missing with the
-/// permission that would change it.
+/// Opens what was planned and adds a source of it; what cannot be counted is Missing, as
+/// explain_counters() has it.
 void add_counters(const Root& root, Discovery& discovery, const std::string& source,
                   int64_t period_ns, std::vector<ChannelPlan> plans, SourceTraits traits);
 
-/// What the kernel would have to allow: reason and fix for events of the whole machine.
-Missing machine_wide_refusal(const Root& root, const std::string& source, const std::string& names,
-                             int error);
+/// Whether the kernel refuses a counter for want of permission.
+bool is_refusal(int error);
+
+/// Why counters of `names` cannot be opened, which failed with `error`, and what would change it.
+/// `paranoid` is the highest kernel.perf_event_paranoid at which anybody may have them: 0 for the
+/// whole machine, 1 for what a thread does in the kernel, 2 for the rest of it.
+Missing explain_counters(const Root& root, const std::string& source, const std::string& names,
+                         int error, int paranoid);
 
 }  // namespace energyprof::probe

@@ -88,6 +88,36 @@ void list_zones_in(const Root& root, const std::string& directory, int depth, Li
   }
 }
 
+// Limits that several zones set for one thing, of which the lowest rules. A file that went away
+// counts no more; the channel is gone with the last of them.
+class LimitSource final : public SensorSource {
+ public:
+  using FileGroups = std::vector<std::vector<TextFile>>;
+  LimitSource(std::vector<Channel> channels, FileGroups groups)
+      : SensorSource("powercap", limit_period_ns, std::move(channels)),
+        groups_(std::move(groups)) {}
+
+  void poll(std::span<Reading> out) noexcept override {
+    for (size_t i = 0; i < groups_.size(); ++i) {
+      Reading best{.status = PollStatus::gone};
+      for (TextFile& file : groups_[i]) {
+        Reading reading = file.read_int();
+        // 0 is a limit that was never set.
+        if (reading.status == PollStatus::ok && reading.value <= 0)
+          reading.status = PollStatus::retry;
+        const bool better = reading.status == PollStatus::ok
+                                ? best.status != PollStatus::ok || reading.value < best.value
+                                : reading.status < best.status;  // ok < retry < gone
+        if (better) best = reading;
+      }
+      out[i] = best;
+    }
+  }
+
+ private:
+  FileGroups groups_;
+};
+
 Listing list_zones(const Root& root) {
   Listing listing;
   for (const int depth : {0, 2})  // the class's own links first
@@ -185,7 +215,7 @@ std::optional<CheckedFile> limit_file(const Root& root, const Zone& zone, std::s
 
 void discover_limits(const Root& root, const std::vector<Domain>& domains, Discovery& discovery) {
   std::vector<Channel> channels;
-  FileGroupSource::FileGroups groups;
+  LimitSource::FileGroups groups;
   for (const Domain& domain : domains) {
     if (domain.is_part) continue;
     for (const Limit& limit : limits) {
@@ -210,8 +240,7 @@ void discover_limits(const Root& root, const std::vector<Domain>& domains, Disco
   }
   if (!channels.empty())
     discovery.sources.push_back(
-        std::make_unique<FileGroupSource>("powercap", limit_period_ns, std::move(channels),
-                                          std::move(groups), Pick::lowest_positive));
+        std::make_unique<LimitSource>(std::move(channels), std::move(groups)));
 }
 
 Missing explain_absence(const Root& root, const std::string& hidden_zone) {

@@ -42,13 +42,8 @@ std::optional<CpuTicks> parse_cpu_line(std::string_view text) {
 }
 
 Channel tick_channel(std::string name, Quantity quantity, std::string origin) {
-  Channel channel;
-  channel.name = std::move(name);
-  channel.quantity = quantity;
-  channel.unit = Unit::clock_tick;
-  channel.kind = Kind::cumulative;
-  channel.origin = std::move(origin);
-  return channel;
+  return make_channel(std::move(name), quantity, Unit::clock_tick, Kind::cumulative,
+                      std::move(origin));
 }
 
 class ProcStatSource final : public SensorSource {

@@ -10,13 +10,8 @@ namespace energyprof::probe {
 namespace {
 
 Channel usage_channel(std::string name, std::string origin) {
-  Channel channel;
-  channel.name = std::move(name);
-  channel.quantity = Quantity::interference;
-  channel.unit = Unit::count;
-  channel.kind = Kind::cumulative;
-  channel.origin = std::move(origin);
-  return channel;
+  return make_channel(std::move(name), Quantity::interference, Unit::count, Kind::cumulative,
+                      std::move(origin));
 }
 
 class UsageSource final : public SensorSource {

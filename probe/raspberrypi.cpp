@@ -6,7 +6,6 @@
 
 #include <fmt/format.h>
 
-#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <charconv>
@@ -14,6 +13,7 @@
 
 #include "core/clock.h"
 #include "probe/file_source.h"
+#include "probe/names.h"
 
 namespace energyprof::probe {
 namespace {
@@ -30,8 +30,7 @@ constexpr std::array bits{Bit{0, "undervoltage"}, Bit{1, "freq_capped"}, Bit{2, 
                           Bit{3, "soft_temp_limit"}};
 
 std::optional<int64_t> parse_word(std::string_view text) {
-  text = text.substr(0, text.find_last_not_of(" \t\r\n") + 1);
-  text.remove_prefix(std::min(text.find_first_not_of(" \t"), text.size()));
+  text = trim(text);
   for (const std::string_view prefix : {"throttled=", "0x"})
     if (text.starts_with(prefix)) text.remove_prefix(prefix.size());
   uint32_t word = 0;
@@ -41,13 +40,7 @@ std::optional<int64_t> parse_word(std::string_view text) {
 }
 
 Channel flag(std::string name, Quantity quantity, std::string origin) {
-  Channel channel;
-  channel.name = std::move(name);
-  channel.quantity = quantity;
-  channel.unit = Unit::count;
-  channel.kind = Kind::flag;
-  channel.origin = std::move(origin);
-  return channel;
+  return make_channel(std::move(name), quantity, Unit::count, Kind::flag, std::move(origin));
 }
 
 std::vector<Channel> word_channels(const std::string& path) {
@@ -56,7 +49,7 @@ std::vector<Channel> word_channels(const std::string& path) {
     channels.push_back(flag(fmt::format("rpi.throttle.{}", bit.name), Quantity::throttle,
                             fmt::format("{}: bit {}", path, bit.number)));
   for (const Bit& bit : bits)
-    channels.push_back(flag(fmt::format("rpi.since_boot.{}", bit.name), Quantity::interference,
+    channels.push_back(flag(fmt::format("rpi.since_boot.{}", bit.name), Quantity::utilization,
                             fmt::format("{}: bit {}", path, bit.number + 16)));
   return channels;
 }

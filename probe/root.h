@@ -25,6 +25,8 @@ class Root {
 
   /// Whether this is the machine itself and not a copy or container below a directory.
   [[nodiscard]] bool is_host() const { return directory_.empty(); }
+  /// The directory, free of links; empty for "/".
+  [[nodiscard]] const std::string& directory() const { return directory_; }
 
   struct Resolved {
     std::string path;  ///< absolute on the host, free of links; meaningless on error

@@ -460,11 +460,11 @@ struct Sampler::Impl {
   }
 
   Lane& lane_of(const SensorSource& source) {
-    const bool slow = source.traits().slow;
-    const std::string name =
-        slow ? fmt::format("{}{}{}", source.name(), source.traits().gpu.empty() ? "" : " of ",
-                           source.traits().gpu)
-             : "the quick sources";
+    const SourceTraits& traits = source.traits();
+    const bool slow = traits.slow;
+    std::string name(slow ? source.name() : "the quick sources");
+    for (const std::string& owner : {traits.gpu, traits.chip})
+      if (slow && !owner.empty()) name += " of " + owner;
     for (const auto& lane : lanes)
       if (lane->is_slow() == slow && lane->name() == name) return *lane;
     const size_t capacity = shared.config.sample_capacity;

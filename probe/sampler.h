@@ -19,10 +19,10 @@ namespace energyprof::probe {
 /// Samples every channel of some sources until stopped.
 ///
 /// All quick sources share a thread; slow ones (SourceTraits::slow) have one of their own for each
-/// source name and GPU, so that a read that takes long delays nothing else. Each source is polled
-/// at every n-th tick, n its period in ticks; a tick that was slept through or spent in a poll is
-/// missed and counted, never made up for. Samples and events wait in queues of fixed size: what
-/// does not fit is counted and reported.
+/// source name, GPU and chip, so that a read that takes long delays nothing else. Each source is
+/// polled at every n-th tick, n its period in ticks; a tick that was slept through or spent in a
+/// poll is missed and counted, never made up for. Samples and events wait in queues of fixed size:
+/// what does not fit is counted and reported.
 ///
 /// One thread may call start(), stop(), pause(), resume() and the destructor. drain() and
 /// drain_events() are for one thread at a time; set_idle(), latest() and stats() for any.

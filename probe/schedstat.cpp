@@ -25,6 +25,7 @@ namespace {
 
 constexpr const char* task_directory = "/proc/self/task";
 constexpr const char* own_file = "/proc/thread-self/schedstat";
+constexpr const char* delay_accounting = "/proc/sys/kernel/task_delayacct";
 constexpr std::size_t max_thread_count = 256;
 constexpr int64_t schedstat_period_ns = 5 * ns_per_ms;
 constexpr int64_t new_thread_check_ns = 100 * ns_per_ms;
@@ -52,26 +53,22 @@ struct Thread {
 };
 
 Channel time_channel(std::string name, Quantity quantity, std::string_view what) {
-  Channel channel;
-  channel.name = std::move(name);
-  channel.quantity = quantity;
-  channel.unit = Unit::nanosecond;
-  channel.kind = Kind::cumulative;
-  channel.origin = fmt::format("{}/*/schedstat: {}", task_directory, what);
-  return channel;
+  return make_channel(std::move(name), quantity, Unit::nanosecond, Kind::cumulative,
+                      fmt::format("{}/*/schedstat: {}", task_directory, what));
 }
 
 class SchedstatSource final : public SensorSource {
  public:
-  SchedstatSource()
+  /// Takes the descriptor of the task directory over.
+  explicit SchedstatSource(int directory)
       : SensorSource(
             "schedstat", schedstat_period_ns,
             {time_channel("process.cpu_wait", Quantity::interference, "time waiting to run"),
              time_channel("process.cpu_time", Quantity::utilization, "time running")}),
-        directory_(open(task_directory, O_RDONLY | O_DIRECTORY | O_CLOEXEC)) {}
+        directory_(directory) {}
   ~SchedstatSource() override {
     for (std::size_t i = 0; i < thread_count_; ++i) close(threads_[i].fd);
-    if (directory_ >= 0) close(directory_);
+    close(directory_);
   }
 
   void poll(std::span<Reading> out) noexcept override {
@@ -97,8 +94,10 @@ class SchedstatSource final : public SensorSource {
     }
     const int64_t width_ns = now_ns() - before_ns;
     const int64_t t_ns = before_ns + width_ns / 2;
-    out[0] = {PollStatus::ok, t_ns, total_.wait_ns, width_ns, 0};
-    out[1] = {PollStatus::ok, t_ns, total_.run_ns, width_ns, 0};
+    // The thread that polls is one at least: none is a file that would not open, not a time of 0.
+    const PollStatus status = thread_count_ > 0 ? PollStatus::ok : PollStatus::retry;
+    out[0] = {status, t_ns, total_.wait_ns, width_ns, 0};
+    out[1] = {status, t_ns, total_.run_ns, width_ns, 0};
   }
 
  private:
@@ -119,7 +118,7 @@ class SchedstatSource final : public SensorSource {
       char name[1];
     };
     constexpr std::size_t name_offset = offsetof(Entry, name);
-    if (directory_ < 0 || lseek(directory_, 0, SEEK_SET) != 0) return;
+    if (lseek(directory_, 0, SEEK_SET) != 0) return;
     alignas(Entry) std::array<char, 2048> buffer;
     for (long got = 0;
          (got = syscall(SYS_getdents64, directory_, buffer.data(), buffer.size())) > 0;) {
@@ -164,15 +163,24 @@ void discover_schedstat(const Root& root, const Selection& selection, Discovery&
         {"schedstat", "it tells of energyprof itself, not of the program that is recorded", ""});
     return;
   }
+  const auto miss = [&](std::string reason, std::string fix = {}) {
+    discovery.missing.push_back({"schedstat", std::move(reason), std::move(fix)});
+  };
   const Root::Text text = root.read(own_file);
   if (!text.text)
-    discovery.missing.push_back(
-        {"schedstat", fmt::format("cannot read '{}': {}", own_file, errno_text(text.error)), ""});
-  else if (!parse_times(*text.text))
-    discovery.missing.push_back(
-        {"schedstat", fmt::format("'{}' does not begin with two numbers", own_file), ""});
-  else
-    discovery.sources.push_back(std::make_unique<SchedstatSource>());
+    return miss(fmt::format("cannot read '{}': {}", own_file, errno_text(text.error)));
+  const std::optional<Times> own = parse_times(*text.text);
+  if (!own) return miss(fmt::format("'{}' does not begin with two numbers", own_file));
+  // The thread that reads it has run. Kernels without CONFIG_SCHEDSTATS count only where delay
+  // accounting is on, and write zeros otherwise.
+  if (own->run_ns == 0)
+    return miss(
+        fmt::format("'{}' is 0 for a thread that runs: the kernel does not count", own_file),
+        root.exists(delay_accounting) ? "sudo sysctl kernel.task_delayacct=1" : "");
+  const int directory = open(task_directory, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  if (directory < 0)
+    return miss(fmt::format("cannot open '{}': {}", task_directory, errno_text(errno)));
+  discovery.sources.push_back(std::make_unique<SchedstatSource>(directory));
 }
 
 }  // namespace energyprof::probe

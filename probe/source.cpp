@@ -5,6 +5,17 @@
 
 namespace energyprof::probe {
 
+Channel make_channel(std::string name, Quantity quantity, Unit unit, Kind kind,
+                     std::string origin) {
+  Channel channel;
+  channel.name = std::move(name);
+  channel.quantity = quantity;
+  channel.unit = unit;
+  channel.kind = kind;
+  channel.origin = std::move(origin);
+  return channel;
+}
+
 SensorSource::SensorSource(std::string name, int64_t period_ns, std::vector<Channel> channels,
                            SourceTraits traits)
     : name_(std::move(name)),
@@ -22,11 +33,6 @@ SensorSource::SensorSource(std::string name, int64_t period_ns, std::vector<Chan
 void SensorSource::set_period_ns(int64_t period_ns) {
   period_ns_ = period_ns;
   for (Channel& channel : channels_) channel.period_ns = period_ns;
-}
-
-void SensorSource::mark_waking() {
-  traits_.wakes_device = true;
-  for (Channel& channel : channels_) channel.wakes_device = true;
 }
 
 bool Discovery::has_channel(std::string_view name) const {

@@ -27,6 +27,10 @@ struct Reading {
   int error = 0;         ///< errno, where there is one and status is not ok
 };
 
+/// A channel. Without origin it is for add_file_source() to fill in.
+Channel make_channel(std::string name, Quantity quantity, Unit unit, Kind kind = Kind::gauge,
+                     std::string origin = {});
+
 /// How a source's reads behave, and what they belong to.
 struct SourceTraits {
   /// A read may take longer than a tick or block (firmware, bus transfers, driver locks): the
@@ -39,6 +43,9 @@ struct SourceTraits {
   std::string gpu{};
   /// That GPU's UUID as Vulkan writes it, lower-case hex grouped 8-4-4-4-12; empty if not known.
   std::string gpu_uuid{};
+  /// What a slow read waits for, where name and GPU do not say it: a chip. Slow sources of one
+  /// name that wait for different ones do not delay each other.
+  std::string chip{};
 };
 
 /// Channels that are read together, at one period.
@@ -58,7 +65,6 @@ class SensorSource {
   // For characterize(), which finds them out:
   void set_period_ns(int64_t period_ns);
   void mark_slow() { traits_.slow = true; }
-  void mark_waking();
   [[nodiscard]] std::span<const Channel> channels() const { return channels_; }
   /// For discover() and characterize(), which fill in ids, unique names and costs.
   [[nodiscard]] std::span<Channel> channels() { return channels_; }

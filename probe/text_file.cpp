@@ -18,14 +18,6 @@
 namespace energyprof::probe {
 namespace {
 
-constexpr std::string_view white_space = " \t\r\n";
-
-std::string_view trim(std::string_view text) {
-  const size_t begin = text.find_first_not_of(white_space);
-  if (begin == std::string_view::npos) return {};
-  return text.substr(begin, text.find_last_not_of(white_space) - begin + 1);
-}
-
 constexpr int64_t retry_rarely_ns = ns_per_s;
 constexpr int64_t path_check_ns = 50 * ns_per_ms;
 
@@ -88,8 +80,14 @@ TextFile::TextFile(TextFile&& other) noexcept
       may_be_replaced_(other.may_be_replaced_),
       next_path_check_ns_(other.next_path_check_ns_),
       fd_(std::exchange(other.fd_, -1)),
+      passing_error_(other.passing_error_),
       error_(other.error_),
       error_until_ns_(other.error_until_ns_) {}
+
+void TextFile::expect(int error) {
+  passing_error_ = error;
+  if (error_ == error) error_ = ENODATA;
+}
 
 TextFile::Read TextFile::read(std::span<char> buffer) noexcept {
   const int64_t before_ns = now_ns();
@@ -107,6 +105,7 @@ TextFile::Read TextFile::read(std::span<char> buffer) noexcept {
     if (got < 0) error = errno;
   }
   const int64_t after_ns = now_ns();
+  if (error != 0 && error == passing_error_) error = ENODATA;
   const bool is_gone = status_of(error) == PollStatus::gone;
   if (fd_ >= 0 && is_gone) close(std::exchange(fd_, -1));
   error_ = error;
@@ -143,8 +142,9 @@ Reading TextFile::read_int() noexcept {
   return read.reading(read.error == 0 ? parse_int(read.text) : std::nullopt);
 }
 
-CheckedFile check_int_file(const Root& root, std::string_view path) {
+CheckedFile check_int_file(const Root& root, std::string_view path, int passing_error) {
   CheckedFile checked{TextFile(root, path), std::nullopt, 0, {}};
+  if (passing_error != 0) checked.file.expect(passing_error);
   std::array<char, 64> buffer{};
   const TextFile::Read read = checked.file.read(buffer);
   checked.error = read.error;

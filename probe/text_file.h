@@ -48,6 +48,8 @@ class TextFile {
     /// A Reading with this read's time and error; `retry` where there is no value.
     [[nodiscard]] Reading reading(std::optional<int64_t> value) const;
   };
+  /// From now on `error`, which means `gone` elsewhere, is "no value now" (ENODATA): it passes.
+  void expect(int error);
   /// Reads as much as fits. An error that means `gone` is final: later calls repeat it at no cost.
   /// Other errors, transient ones excepted, are repeated at no cost for a second.
   Read read(std::span<char> buffer) noexcept;
@@ -65,6 +67,7 @@ class TextFile {
   bool may_be_replaced_;
   int64_t next_path_check_ns_ = 0;
   int fd_ = -1;
+  int passing_error_ = 0;
   int error_ = 0;               // repeated without a read ...
   int64_t error_until_ns_ = 0;  // ... until then; where it is final, for ever
 };
@@ -76,6 +79,7 @@ struct CheckedFile {
   int error = 0;                 ///< errno of the first read
   std::string problem;           ///< why it is no use as a channel, in words; empty: it is
 };
-CheckedFile check_int_file(const Root& root, std::string_view path);
+/// `passing_error`: as for TextFile::expect(); 0: none.
+CheckedFile check_int_file(const Root& root, std::string_view path, int passing_error = 0);
 
 }  // namespace energyprof::probe

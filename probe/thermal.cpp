@@ -25,13 +25,9 @@ constexpr std::string_view class_dir = "sys/class/thermal";
 constexpr int64_t fast_period_ns = 100 * ns_per_ms;
 constexpr int64_t acpi_period_ns = 5 * ns_per_s;  // acpitz: every read runs firmware code
 constexpr size_t files_per_period = 64;
-constexpr int64_t lowest_mc = -40'000;
-constexpr int64_t highest_mc = 200'000;
 
 // Zones that are not set or not measuring say 0, or -274 C and the like.
-bool is_measured(int64_t temp_mc) {
-  return temp_mc >= lowest_mc && temp_mc <= highest_mc && temp_mc != 0;
-}
+bool is_measured(int64_t temp_mc) { return is_plausible_temp(temp_mc) && temp_mc != 0; }
 
 struct Device {
   std::string path;
@@ -73,43 +69,11 @@ std::optional<int64_t> trip_mc(const Root& root, const Device& zone) {
     if (!type) break;
     const auto temp =
         check_int_file(root, fmt::format("{}/trip_point_{}_temp", zone.path, i)).value;
-    if (!temp || *temp <= 0 || *temp > highest_mc) continue;
+    if (!temp || *temp <= 0 || *temp > highest_temp_mc) continue;
     if (*type == "passive") passive = std::min(passive.value_or(*temp), *temp);
     if (*type == "hot" || *type == "critical") severe = std::min(severe.value_or(*temp), *temp);
   }
   return passive ? passive : severe;
-}
-
-// Temperatures; what is none is no value.
-class ZoneSource final : public SensorSource {
- public:
-  ZoneSource(int64_t period_ns, std::vector<Channel> channels, std::vector<TextFile> files,
-             SourceTraits traits)
-      : SensorSource("thermal", period_ns, std::move(channels), std::move(traits)),
-        files_(std::move(files)) {}
-
-  void poll(std::span<Reading> out) noexcept override {
-    for (size_t i = 0; i < files_.size(); ++i) {
-      out[i] = files_[i].read_int();
-      if (out[i].status == PollStatus::ok && !is_measured(out[i].value))
-        out[i].status = PollStatus::retry;
-    }
-  }
-
- private:
-  std::vector<TextFile> files_;
-};
-
-// Zones that are polled alike, before they are a source.
-struct ZoneGroup {
-  std::vector<Channel> channels;
-  std::vector<TextFile> files;
-};
-
-void add_zones(Discovery& discovery, int64_t period_ns, ZoneGroup group, SourceTraits traits) {
-  if (group.files.empty()) return;
-  discovery.sources.push_back(std::make_unique<ZoneSource>(
-      period_ns, std::move(group.channels), std::move(group.files), std::move(traits)));
 }
 
 // Why a zone is no channel; empty: it is one.
@@ -138,8 +102,8 @@ Missing explain(const Root& root, const Device& zone, const CheckedFile& temp) {
 
 size_t discover_zones(const Root& root, Discovery& discovery) {
   const std::vector<Device> zones = list_devices(root, "thermal_zone");
-  ZoneGroup quick;
-  ZoneGroup acpi;
+  std::vector<FileChannel> quick;
+  std::vector<FileChannel> acpi;
   for (const Device& zone : zones) {
     CheckedFile temp = check_int_file(root, zone.path + "/temp");
     Missing missing = explain(root, zone, temp);
@@ -152,13 +116,11 @@ size_t discover_zones(const Root& root, Discovery& discovery) {
     channel.quantity = Quantity::temperature;
     channel.unit = Unit::millicelsius;
     channel.limit = trip_mc(root, zone);
-    channel.origin = temp.file.path();
-    ZoneGroup& group = zone.type == "acpitz" ? acpi : quick;
-    group.channels.push_back(std::move(channel));
-    group.files.push_back(std::move(temp.file));
+    (zone.type == "acpitz" ? acpi : quick)
+        .push_back({std::move(channel), std::move(temp.file), is_measured});
   }
-  add_zones(discovery, fast_period_ns, std::move(quick), {});
-  add_zones(discovery, acpi_period_ns, std::move(acpi), {.slow = true});
+  add_file_source(discovery, "thermal", fast_period_ns, std::move(quick));
+  add_file_source(discovery, "thermal", acpi_period_ns, std::move(acpi), {.slow = true});
   return zones.size();
 }
 
@@ -171,9 +133,11 @@ bool throttles(const std::string& id) {
                       [&](std::string_view other) { return id.find(other) != std::string::npos; });
 }
 
-// The GPU that a cooling device slows down, by the name the kernel gives it: "devfreq-<device>".
-std::string gpu_of_cooling(const std::string& type) {
+// The GPU that a cooling device slows down, by the name the kernel gives it: "devfreq-<device>",
+// before Linux 5.11 "thermal-devfreq-0", which tells only where there is one device to slow down.
+std::string gpu_of_cooling(const Root& root, const std::string& type) {
   constexpr std::string_view prefix = "devfreq-";
+  if (type.starts_with("thermal-devfreq-")) return only_devfreq_gpu(root);
   const bool is_gpu = type.starts_with(prefix) && is_gpu_name(type);
   return is_gpu ? type.substr(prefix.size()) : "";
 }
@@ -193,7 +157,7 @@ void discover_cooling(const Root& root, Discovery& discovery) {
     channel.quantity = Quantity::throttle;
     channel.unit = Unit::count;
     channel.limit = highest.value;
-    std::string gpu = gpu_of_cooling(device.type);
+    std::string gpu = gpu_of_cooling(root, device.type);
     if (gpu.empty()) {
       rows.push_back({std::move(channel), std::move(state.file)});
     } else {

@@ -43,22 +43,27 @@ class Pipe {
   bool is_open_ = false;
 };
 
-// Keeps the calling thread, and what it starts, on the processor it is on.
+// Keeps the calling thread, and what it starts, on the processor it is on; not where it could not
+// be let go again (more than 1024 processors).
 class Stay {
  public:
   Stay() {
-    sched_getaffinity(0, sizeof before_, &before_);
+    const int cpu = sched_getcpu();
+    if (cpu < 0 || sched_getaffinity(0, sizeof before_, &before_) != 0) return;
     cpu_set_t here;
     CPU_ZERO(&here);
-    CPU_SET(static_cast<size_t>(std::max(sched_getcpu(), 0)), &here);
-    sched_setaffinity(0, sizeof here, &here);
+    CPU_SET(static_cast<size_t>(cpu), &here);
+    is_pinned_ = sched_setaffinity(0, sizeof here, &here) == 0;
   }
-  ~Stay() { sched_setaffinity(0, sizeof before_, &before_); }
+  ~Stay() {
+    if (is_pinned_) sched_setaffinity(0, sizeof before_, &before_);
+  }
   Stay(const Stay&) = delete;
   Stay& operator=(const Stay&) = delete;
 
  private:
   cpu_set_t before_{};
+  bool is_pinned_ = false;
 };
 
 }  // namespace

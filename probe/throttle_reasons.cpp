@@ -21,13 +21,8 @@ std::vector<Channel> flag_channels(std::string_view prefix, const std::optional<
 }  // namespace
 
 Channel throttle_flag(std::string_view prefix, std::string_view reason, std::string origin) {
-  Channel channel;
-  channel.name = fmt::format("{}.throttle.{}", prefix, reason);
-  channel.quantity = Quantity::throttle;
-  channel.unit = Unit::count;
-  channel.kind = Kind::flag;
-  channel.origin = std::move(origin);
-  return channel;
+  return make_channel(fmt::format("{}.throttle.{}", prefix, reason), Quantity::throttle,
+                      Unit::count, Kind::flag, std::move(origin));
 }
 
 ReasonFiles::ReasonFiles(std::string source, std::string_view prefix,

@@ -24,6 +24,7 @@ namespace {
 constexpr int64_t clock_period_ns = 20 * ns_per_ms;
 constexpr int64_t requested_period_ns = ns_per_s;
 constexpr int64_t limit_period_ns = ns_per_s;
+constexpr int64_t constant_period_ns = 60 * ns_per_s;
 constexpr int64_t idle_period_ns = 100 * ns_per_ms;
 
 struct Gt {
@@ -172,38 +173,39 @@ void discover_throttle(const Root& root, const Gt& gt, const std::string& gpu,
          ""});
 }
 
-void discover_gt(const Root& root, const Gt& gt, const std::string& gpu, Discovery& discovery) {
-  const SourceTraits quiet{.gpu = gpu};
+void discover_gt(const Root& root, const Gt& gt, const NamedCard& named, Discovery& discovery) {
+  const std::string& gpu = named.card.gpu;
   const SourceTraits waking{.slow = true, .wakes_device = true, .gpu = gpu};
+  // The actual clock is a register, which wakes no GT but the device, where that may sleep.
+  const bool sleeps = may_sleep(root, named.card.path + "/device");
+  const SourceTraits light{.slow = sleeps, .wakes_device = sleeps, .gpu = gpu};
   const auto highest = check_int_file(root, gt.path + "/freq0/rp0_freq").value;
-  const auto add_clocks = [&](int64_t period_ns, const SourceTraits& traits, Quantity quantity,
-                              std::initializer_list<std::pair<const char*, const char*>> clocks) {
+  const auto clock = [&](const char* name, Quantity quantity) {
+    Channel channel =
+        make_channel(fmt::format("{}.{}", gt.prefix, name), quantity, Unit::megahertz);
+    channel.limit = highest;
+    return channel;
+  };
+  const auto add_clock = [&](const char* name, const char* file, Quantity quantity,
+                             int64_t period_ns, const SourceTraits& traits) {
     std::vector<FileChannel> rows;
-    for (const auto& [name, file] : clocks) {
-      Channel channel;
-      channel.name = fmt::format("{}.{}", gt.prefix, name);
-      channel.quantity = quantity;
-      channel.unit = Unit::megahertz;
-      channel.limit = highest;
-      add_file_row(root, discovery, "xe", rows, std::move(channel),
-                   fmt::format("{}/freq0/{}", gt.path, file));
-    }
+    add_file_row(root, discovery, "xe", rows, clock(name, quantity),
+                 fmt::format("{}/freq0/{}", gt.path, file));
     add_file_source(discovery, "xe", period_ns, std::move(rows), traits);
   };
-  add_clocks(clock_period_ns, quiet, Quantity::frequency, {{"act_freq", "act_freq"}});
-  add_clocks(requested_period_ns, waking, Quantity::frequency, {{"requested_freq", "cur_freq"}});
-  add_clocks(limit_period_ns, quiet, Quantity::limit,
-             {{"max_freq", "max_freq"}, {"rp0_freq", "rp0_freq"}, {"rpn_freq", "rpn_freq"}});
+  add_clock("act_freq", "act_freq", Quantity::frequency, clock_period_ns, light);
+  add_clock("requested_freq", "cur_freq", Quantity::frequency, requested_period_ns, waking);
+  // The firmware is asked for it.
+  add_clock("max_freq", "max_freq", Quantity::limit, limit_period_ns, waking);
+  for (const char* name : {"rp0_freq", "rpn_freq"})
+    add_clock(name, name, Quantity::limit, constant_period_ns, waking);
 
   discover_throttle(root, gt, gpu, discovery);
 
-  Channel idle;
-  idle.name = gt.prefix + ".c6_residency";
-  idle.quantity = Quantity::utilization;
-  idle.unit = Unit::millisecond;
-  idle.kind = Kind::cumulative;
   std::vector<FileChannel> residency;
-  add_file_row(root, discovery, "xe", residency, std::move(idle),
+  add_file_row(root, discovery, "xe", residency,
+               make_channel(gt.prefix + ".c6_residency", Quantity::utilization, Unit::millisecond,
+                            Kind::cumulative),
                gt.path + "/gtidle/idle_residency_ms");
   add_file_source(discovery, "xe", idle_period_ns, std::move(residency), waking);
 }
@@ -219,7 +221,7 @@ void discover_xe(const Root& root, Discovery& discovery) {
       discovery.missing.push_back(
           {"xe", fmt::format("no GT with clocks in '{}/device'", root.display(named.card.path)),
            ""});
-    for (const Gt& gt : gts) discover_gt(root, gt, named.card.gpu, discovery);
+    for (const Gt& gt : gts) discover_gt(root, gt, named, discovery);
     report_absent_chip(root, named.card, discovery);
   }
 }

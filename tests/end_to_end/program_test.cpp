@@ -1015,6 +1015,17 @@ TEST_F(Program, ProbeJsonHasTheContractsFields) {
   for (const json& missing : probe["missing"])
     for (const char* key : {"source", "reason", "fix"})
       EXPECT_TRUE(missing.contains(key)) << missing;
+  EXPECT_EQ(json::parse(program({"probe", "--json"}).out)["simulated"], false);
+}
+
+TEST_F(Program, ProbeOfATreeSaysThatItIsNotThisMachine) {
+  const std::string root = ENERGYPROF_TEST_DATA "/sysfs/intel-rplp-i915-laptop";
+  EXPECT_TRUE(program({"probe", "--root", root}).out.starts_with("Simulated: what '"));
+  const json probe = json::parse(program({"probe", "--json", "--root", root}).out);
+  EXPECT_EQ(probe["simulated"], true);
+  EXPECT_EQ(fs::path(probe["root"].get<std::string>()), fs::canonical(root));
+  EXPECT_TRUE(probe["devices"].empty());  // they would be this machine's
+  EXPECT_THAT(probe["no_devices_reason"].get<std::string>(), HasSubstr("not under --root"));
 }
 
 TEST_F(Program, ShippedConfigsAreFoundByName) {

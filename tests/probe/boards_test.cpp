@@ -250,7 +250,7 @@ TEST(RaspberryPi, DecodesTheFirmwaresWord) {
               ElementsAre("rpi.since_boot.freq_capped", "rpi.since_boot.soft_temp_limit",
                           "rpi.since_boot.throttled", "rpi.throttle.soft_temp_limit"));
   EXPECT_EQ(channel_called(found, "rpi.throttle.throttled").quantity, Quantity::throttle);
-  EXPECT_NE(channel_called(found, "rpi.since_boot.throttled").quantity, Quantity::throttle);
+  EXPECT_EQ(channel_called(found, "rpi.since_boot.throttled").quantity, Quantity::utilization);
 }
 
 TEST(RaspberryPi, FallsBackToTheVoltageAlarm) {
@@ -339,6 +339,19 @@ TEST(Battery, IsOfNoUseWhenItCannotBeToldWhetherItDischarges) {
   EXPECT_THAT(find(tree.root(), "battery").missing, missing_because("No such file"));
 }
 
+TEST(Battery, MayLearnARateThatItDoesNotKnowNow) {
+  const Tree tree{{battery + "type", "Battery\n"},
+                  {battery + "status", "Discharging\n"},
+                  {battery + "power_now", "1\n"}};
+  const Discovery found = find(tree.root({{battery + "power_now", ENODEV}}), "battery");
+  EXPECT_EQ(poll_all(found)["battery.bat1.power"].status, PollStatus::retry);
+  EXPECT_THAT(found.missing, missing_because("power_now' says that it is unknown now"));
+  EXPECT_THAT(found.missing, Not(missing_because("neither")));
+  tree.write({{battery + "current_now", "1500000\n"}, {battery + "voltage_now", "8000000\n"}});
+  const Discovery other = find(tree.root({{battery + "power_now", ENODEV}}), "battery");
+  EXPECT_EQ(poll_all(other)["battery.bat1.power"].value, 12'000'000);
+}
+
 TEST(Battery, IsNotThatOfAMouse) {
   const Tree tree{{battery + "type", "Battery\n"},
                   {battery + "scope", "Device\n"},
@@ -346,7 +359,7 @@ TEST(Battery, IsNotThatOfAMouse) {
   EXPECT_THAT(find(tree.root(), "battery").missing, missing_because("no battery"));
 }
 
-TEST(ThermalThrottle, TakesTheHighestOfMirroredCountersAndAddsNothing) {
+TEST(ThermalThrottle, AddsUpCoresAndNothingThatIsMirrored) {
   const std::string name = "intel-rplp-i915-laptop";
   const Tree tree(name);
   const Discovery found = find(tree.root(), "thermal_throttle");
@@ -356,7 +369,7 @@ TEST(ThermalThrottle, TakesTheHighestOfMirroredCountersAndAddsNothing) {
   // EXPECTED.tsv: 1 event, 462 ms, mirrored in every CPU.
   EXPECT_EQ(t1["cpu.package-0.throttle.count"].value - t0["cpu.package-0.throttle.count"].value, 1);
   EXPECT_EQ(t1["cpu.package-0.throttle.time"].value - t0["cpu.package-0.throttle.time"].value, 462);
-  EXPECT_EQ(t0["cpu.core.throttle.count"].value, 3);
+  EXPECT_EQ(t0["cpu.core.throttle.count"].value, 6);  // 3 of a core with two CPUs, 3 of another
   EXPECT_EQ(channel_called(found, "cpu.package-0.throttle.time").unit, Unit::millisecond);
 }
 
@@ -447,7 +460,7 @@ TEST(Hwmon, LimitsPowerByWhatIsEnforcedAndNotByThePeak) {
                   {chip + "power1_input", "30000000\n"},
                   {chip + "power1_max", "190000000\n"},
                   {chip + "power1_crit", "300000000\n"},
-                  {chip + "energy1_input", "0\n"}};
+                  {chip + "energy1_input", "61\n"}};
   const Discovery found = find(tree.root(), "hwmon");
   EXPECT_EQ(channel_called(found, "hwmon.i915.power1.power").limit, 190'000'000);
   EXPECT_EQ(poll_all(found)["hwmon.i915.power1.power_limit"].value, 190'000'000);
@@ -467,6 +480,83 @@ TEST(Hwmon, CallsTheEnergyOfAnArcByItsLabel) {
   EXPECT_EQ(readings["hwmon.xe.vram.temp"].value, 54'000);
   EXPECT_EQ(channel_called(found, "hwmon.xe.pkg.energy").kind, Kind::cumulative);
   EXPECT_THAT(names_of(found), SizeIs(4));
+}
+
+TEST(Hwmon, DoesNotOfferAGpusEnergyThatIsNotCounted) {
+  const Tree tree{{"sys/devices/pci/0000:03:00.0/uevent", "PCI_SLOT_NAME=0000:03:00.0\n"},
+                  {rails + "name", "xe\n"},
+                  {rails + "energy1_label", "card\n"},
+                  {rails + "energy1_input", "0\n"},
+                  {rails + "energy2_label", "pkg\n"},
+                  {rails + "energy2_input", "61\n"}};
+  tree.link(rails + "device", "../../../devices/pci/0000:03:00.0");
+  const Discovery found = find(tree.root(), "hwmon");
+  EXPECT_THAT(names_of(found), ElementsAre("hwmon.xe.pkg.energy"));
+  EXPECT_THAT(found.missing, missing_because("energy1_input' is 0: unsupported"));
+}
+
+TEST(Hwmon, WakesAGpuThatMaySleep) {
+  const Tree tree{{"sys/devices/pci/0000:03:00.0/uevent", "PCI_SLOT_NAME=0000:03:00.0\n"},
+                  {"sys/devices/pci/0000:03:00.0/power/control", "auto\n"},
+                  {rails + "name", "i915\n"},
+                  {rails + "temp1_input", "40000\n"},
+                  {"sys/class/hwmon/hwmon2/name", "coretemp\n"},
+                  {"sys/class/hwmon/hwmon2/temp1_input", "40000\n"}};
+  tree.link(rails + "device", "../../../devices/pci/0000:03:00.0");
+  EXPECT_TRUE(find(tree.root(), "hwmon").sources.at(0)->traits().wakes_device);
+  EXPECT_FALSE(find(tree.root(), "hwmon").sources.at(1)->traits().wakes_device);
+  tree.write({{"sys/devices/pci/0000:03:00.0/power/control", "on\n"}});
+  EXPECT_FALSE(find(tree.root(), "hwmon").sources.at(0)->traits().wakes_device);
+}
+
+TEST(Hwmon, KeepsTheChannelsOfAnAmdGpuThatSleeps) {
+  const Tree tree{{rails + "name", "amdgpu\n"},
+                  {rails + "temp1_input", "40000\n"},
+                  {rails + "temp1_crit_alarm", "0\n"},
+                  {rails + "power1_cap", "1000000\n"},
+                  {"sys/devices/pci/0000:03:00.0/uevent", "PCI_SLOT_NAME=0000:03:00.0\n"}};
+  tree.link(rails + "device", "../../../devices/pci/0000:03:00.0");
+  const auto found = [&](int error) {
+    return find(tree.root({{rails + "temp1_input", error},
+                           {rails + "temp1_crit_alarm", error},
+                           {rails + "power1_cap", error}}),
+                "hwmon");
+  };
+  EXPECT_THAT(names_of(found(EPERM)),
+              ElementsAre("hwmon.amdgpu.temp1.temp", "hwmon.amdgpu.temp1.crit_alarm",
+                          "hwmon.amdgpu.power1.power_limit"));
+  EXPECT_THAT(found(EPERM).missing, IsEmpty());
+  for (const auto& [name, reading] : poll_all(found(EPERM)))
+    EXPECT_EQ(reading.status, PollStatus::retry) << name;
+  EXPECT_THAT(names_of(found(EIO)), IsEmpty());
+}
+
+TEST(Hwmon, DoesNotTakeAnAlarmOfMemoryForThrottling) {
+  const Tree tree{{rails + "name", "spd5118\n"},
+                  {rails + "temp1_input", "40000\n"},
+                  {rails + "temp1_crit_alarm", "0\n"}};
+  const Discovery found = find(tree.root(), "hwmon");
+  EXPECT_EQ(channel_called(found, "hwmon.spd5118.temp1.crit_alarm").quantity,
+            Quantity::utilization);
+  EXPECT_THAT(verdict(found), HasSubstr("throttling of the package"));
+  EXPECT_THAT(verdict(found), Not(HasSubstr("throttling of the package (")));
+}
+
+TEST(Hwmon, SaysNothingOfAVoltageThatAChipDoesNotHave) {
+  const Tree tree{{rails + "name", "BAT0\n"},
+                  {rails + "in0_input", "12000\n"},
+                  {rails + "curr1_input", "1000\n"}};
+  const Discovery found = find(tree.root(), "hwmon");
+  EXPECT_THAT(names_of(found), IsEmpty());
+  EXPECT_THAT(found.missing, missing_because("(BAT0) has no"));
+  EXPECT_THAT(found.missing, Not(missing_because("in1_input")));
+}
+
+TEST(Hwmon, GivesNoSampleOfATemperatureThatCannotBe) {
+  const Tree tree{{rails + "name", "nct6775\n"}, {rails + "temp1_input", "40000\n"}};
+  const Discovery found = find(tree.root(), "hwmon");
+  tree.write({{rails + "temp1_input", "-128000\n"}});  // the sensor came off
+  EXPECT_EQ(poll_all(found)["hwmon.nct6775.temp1.temp"].status, PollStatus::retry);
 }
 
 TEST(Hwmon, LeavesOutWhatIsSwitchedOff) {

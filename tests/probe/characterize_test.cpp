@@ -105,22 +105,5 @@ TEST(Characterize, TakesASourceWithLongReadsForSlow) {
   EXPECT_TRUE(found.sources[0]->traits().slow);
 }
 
-TEST(Characterize, MarksASourceWhoseReadWakesItsGpu) {
-  const std::string status = "sys/bus/pci/devices/0000:00:02.0/power/runtime_status";
-  const Tree tree{{status, "suspended\n"}};
-  auto waking = std::make_unique<ClockSource>(ns_per_s, counter("c"), steps_of_2_ms,
-                                              SourceTraits{.gpu = "0000:00:02.0"});
-  waking->on_poll = [&] { tree.write({{status, "active\n"}}); };
-  Discovery found = one(std::move(waking));
-  characterize(found, tree.root());
-  EXPECT_TRUE(found.sources[0]->traits().wakes_device);
-
-  tree.write({{status, "suspended\n"}});
-  Discovery quiet = one(std::make_unique<ClockSource>(ns_per_s, counter("c"), steps_of_2_ms,
-                                                      SourceTraits{.gpu = "0000:00:02.0"}));
-  characterize(quiet, tree.root());
-  EXPECT_FALSE(quiet.sources[0]->traits().wakes_device);
-}
-
 }  // namespace
 }  // namespace energyprof::probe

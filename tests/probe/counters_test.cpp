@@ -1,12 +1,17 @@
 // Counters that sysfs describes, and registers: what would be opened on other machines, and what
 // this one counts.
+#include <fcntl.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
 #include <cerrno>
+#include <filesystem>
 
+#include "core/clock.h"
 #include "probe/machine_counters.h"
 #include "probe/perf_events.h"
+#include "probe/schedstat.h"
 #include "tree.h"
 
 namespace energyprof::probe {
@@ -179,6 +184,34 @@ TEST(Uncore, KnowsHowServersNameTheirFreeRunningCounters) {
   EXPECT_EQ(plans[0].channel.name, "uncore.imc.write");
 }
 
+TEST(Uncore, AddsUpTheSubchannelsOfAController) {
+  const std::string unit = "sys/bus/event_source/devices/uncore_imc_0/";  // as on Granite Rapids
+  const Tree tree{{unit + "type", "30\n"},
+                  {unit + "format/event", "config:0-7\n"},
+                  {unit + "format/umask", "config:8-15\n"},
+                  {unit + "events/cas_count_read_sch0", "event=0x05,umask=0xcf\n"},
+                  {unit + "events/cas_count_read_sch1", "event=0x06,umask=0xcf\n"},
+                  {unit + "events/cas_count_write_sch0", "event=0x05,umask=0xf0\n"},
+                  {unit + "events/cas_count_write_sch1", "event=0x06,umask=0xf0\n"}};
+  Discovery found;
+  const std::vector<ChannelPlan> plans = plan_uncore(tree.root(), found);
+  ASSERT_THAT(plans, SizeIs(2));
+  EXPECT_EQ(plans[0].channel.name, "uncore.imc.read");
+  ASSERT_THAT(plans[0].counters, SizeIs(2));
+  EXPECT_EQ(plans[0].counters[1].config[0], 0xcf06u);
+  EXPECT_TRUE(plans[0].counters[1].pinned);
+  EXPECT_EQ(plans[1].channel.name, "uncore.imc.write");
+}
+
+TEST(Uncore, SaysSoWhereAControllerListsNoKnownEvent) {
+  const std::string unit = "sys/bus/event_source/devices/uncore_imc_0/";
+  const Tree tree{{unit + "type", "30\n"}, {unit + "events/clockticks", "event=0x01\n"}};
+  Discovery found;
+  discover_uncore(tree.root(), found);
+  EXPECT_THAT(found.missing, missing_because("uncore_imc_0: no event"));
+  EXPECT_THAT(found.missing, Not(missing_because("no perf unit")));
+}
+
 TEST(Uncore, CountsTheCommandsOfAmdsControllers) {
   const std::string units = "sys/bus/event_source/devices/";
   const Tree tree;
@@ -233,9 +266,57 @@ TEST(MachineCounters, AreNotForARoot) {
 
 TEST(MachineCounters, SayWhatTheKernelWouldHaveToAllow) {
   const Tree tree{{"proc/sys/kernel/perf_event_paranoid", "4\n"}};
-  const Missing missing = machine_wide_refusal(tree.root(), "uncore", "'x'", EACCES);
-  EXPECT_THAT(missing.reason, HasSubstr("perf_event_paranoid is 4"));
-  EXPECT_THAT(missing.fix, HasSubstr("setcap cap_perfmon"));
+  const auto explain = [&](int error, int paranoid) {
+    return explain_counters(tree.root(), "uncore", "'x'", error, paranoid);
+  };
+  EXPECT_THAT(explain(EACCES, 0).reason, HasSubstr("perf_event_paranoid is 4, and this needs 0"));
+  // The program that runs, wherever it lies.
+  EXPECT_EQ(explain(EACCES, 0).fix, "sudo setcap cap_perfmon+ep '" +
+                                        std::filesystem::read_symlink("/proc/self/exe").string() +
+                                        "'");
+  EXPECT_THAT(explain(EMFILE, 0).fix, HasSubstr("ulimit -n"));
+  EXPECT_THAT(explain(ENOENT, 0).reason, HasSubstr("virtual machine"));
+  EXPECT_THAT(explain(EINVAL, 0).reason, Not(HasSubstr("virtual machine")));
+  tree.write({{"proc/sys/kernel/perf_event_paranoid", "1\n"}});
+  EXPECT_THAT(explain(EPERM, 2).reason, HasSubstr("which allows it"));
+  EXPECT_THAT(explain(EPERM, 2).fix, HasSubstr("docker"));
+  EXPECT_THAT(explain(EPERM, 0).fix, HasSubstr("setcap"));
+}
+
+TEST(MachineCounters, SayWhenTheyCannotBeOpened) {
+  Discovery found;
+  ChannelPlan plan;
+  plan.channel.origin = "perf nothing/such/";
+  plan.counters = {{.type = 0x7fff'fff0, .cpu = 0, .pinned = true}};
+  std::vector<ChannelPlan> plans(2, plan);
+  add_counters(Root(), found, "uncore", ns_per_ms, std::move(plans), {});
+  EXPECT_THAT(found.sources, IsEmpty());
+  ASSERT_THAT(found.missing, SizeIs(1));  // one reason for both
+  EXPECT_THAT(found.missing[0].reason, HasSubstr("'perf nothing/such/', 'perf nothing/such/'"));
+}
+
+TEST(Counter, ThatTheHardwareHasNoRoomForCountsNothing) {
+  // As of a pinned counter that is not counted: the end of the file.
+  const Counter counter(open("/dev/null", O_RDONLY));
+  EXPECT_EQ(counter.read().error, ENODEV);
+}
+
+TEST(CorePmus, AreAllThatListTheirProcessors) {
+  const std::string units = "sys/bus/event_source/devices/";
+  const Tree tree{{units + "cpu_core/type", "4\n"},
+                  {units + "cpu_core/cpus", "0-3\n"},
+                  {units + "power/type", "17\n"},
+                  {units + "power/cpumask", "0\n"}};
+  EXPECT_THAT(list_core_pmus(tree.root()), IsEmpty());  // all cores are alike
+  tree.write({{units + "cpu_atom/type", "10\n"},
+              {units + "cpu_atom/cpus", "4-7\n"},
+              {units + "cpu_lowpower/type", "11\n"},
+              {units + "cpu_lowpower/cpus", "8-9\n"}});
+  const std::vector<Pmu> kinds = list_core_pmus(tree.root());
+  ASSERT_THAT(kinds, SizeIs(3));
+  EXPECT_EQ(kinds[1].name, "cpu_core");
+  EXPECT_EQ(kinds[2].name, "cpu_lowpower");
+  EXPECT_THAT(kinds[2].cpus, ElementsAre(8, 9));
 }
 
 TEST(ProcessUsage, CountsThePageFaultsOfThisProcess) {
@@ -258,6 +339,37 @@ TEST(ProcessUsage, IsNotThatOfARecordedProgram) {
                                       Field(&Missing::reason, HasSubstr("energyprof itself")))));
 }
 
+// What the thread's file would have to be for the source to see that nothing is counted.
+Discovery schedstat_of(const Tree& tree) {
+  Discovery found;
+  discover_schedstat(tree.root(), {}, found);
+  return found;
+}
+
+TEST(Schedstat, IsMissingWhereTheKernelDoesNotCount) {
+  const Tree tree{{"proc/thread-self/schedstat", "0 0 0\n"}};
+  EXPECT_THAT(schedstat_of(tree).sources, IsEmpty());
+  EXPECT_THAT(schedstat_of(tree).missing, missing_because("does not count"));
+  tree.write({{"proc/sys/kernel/task_delayacct", "0\n"}});
+  EXPECT_THAT(schedstat_of(tree).missing,
+              Contains(Field(&Missing::fix, "sudo sysctl kernel.task_delayacct=1")));
+  tree.write({{"proc/thread-self/schedstat", "much\n"}});
+  EXPECT_THAT(schedstat_of(tree).missing, missing_because("two numbers"));
+}
+
+TEST(Schedstat, GivesNoZerosForThreadsThatItCannotOpen) {
+  const Tree tree{{"proc/thread-self/schedstat", "1 0 1\n"}};
+  rlimit limit{};
+  ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &limit), 0);
+  const rlimit none{0, limit.rlim_max};
+  const Discovery found = schedstat_of(tree);  // opens what it lists threads by
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &none), 0);
+  auto readings = poll_all(found);
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &limit), 0);
+  EXPECT_EQ(readings["process.cpu_wait"].status, PollStatus::retry);
+  EXPECT_EQ(readings["process.cpu_time"].status, PollStatus::retry);
+}
+
 Selection with_msr() { return Selection{.sources = {"powercap", "msr"}, .allow_msr = true}; }
 
 TEST(Msr, IsReadOnlyIfAllowed) {
@@ -272,6 +384,8 @@ TEST(Msr, GivesWhatPowercapDoesNot) {
   const Discovery both = discover(machine("intel-rplp-i915-laptop"), selection);
   EXPECT_EQ(channel_called(both, "rapl.package-0.energy").source, "powercap");
   EXPECT_EQ(poll_all(both)["msr.gfx.throttle.pl1"].value, 1);
+  EXPECT_EQ(channel_called(both, "msr.gfx.throttle.pl1").gpu, "0000:00:02.0");
+  EXPECT_EQ(channel_called(both, "msr.core.throttle.pl1").gpu, "");
 
   selection.sources = {"msr"};
   const Discovery alone = discover(machine("intel-rplp-i915-laptop"), selection);
@@ -321,6 +435,63 @@ TEST(Msr, DoesNotRecordAgainWhatAPackageOfSeveralHas) {
                   {rapl + "intel-rapl:1/energy_uj", "3\n"}};
   for (const std::string& name : names_of(discover(tree.root(), with_msr())))
     EXPECT_NE(name, "rapl.dram.energy");
+}
+
+TEST(Msr, DoesNotRecordAgainWhatADieOfSeveralHas) {
+  const std::string rapl = "sys/class/powercap/";
+  const Tree tree{
+      {"dev/cpu/0/msr.tsv", "0x606\t0xa0e03\n0x610\t0x80c8\n0x611\t0x1\n0x619\t0x1\n0x639\t0x1\n"},
+      {rapl + "intel-rapl:0/name", "package-0-die-0\n"},
+      {rapl + "intel-rapl:0/energy_uj", "1\n"},
+      {rapl + "intel-rapl:0/constraint_0_name", "long_term\n"},
+      {rapl + "intel-rapl:0/constraint_0_power_limit_uw", "25000000\n"},
+      {rapl + "intel-rapl:0:0/name", "dram\n"},
+      {rapl + "intel-rapl:0:0/energy_uj", "2\n"},
+      {rapl + "intel-rapl:1/name", "package-0-die-1\n"},
+      {rapl + "intel-rapl:1/energy_uj", "3\n"}};
+  const Discovery found = discover(tree.root(), with_msr());
+  std::vector<std::string> of_msr;
+  for (const auto& source : found.sources)
+    if (source->name() == "msr")
+      for (const Channel& channel : std::as_const(*source).channels())
+        of_msr.push_back(channel.name);
+  EXPECT_THAT(of_msr, ElementsAre("rapl.core.energy"));  // nobody else has it
+}
+
+TEST(Msr, TakesNoLimitThatIsNotEnabled) {
+  // PL1 25 W with bit 15, PL2 25 W without bit 47.
+  const Tree tree{{"dev/cpu/0/msr.tsv", "0x606\t0xa0e03\n0x610\t0xc8000080c8\n"}};
+  const Discovery found = discover(tree.root(), with_msr());
+  EXPECT_EQ(poll_all(found)["rapl.package-0.pl1"].value, 25'000'000);
+  EXPECT_EQ(channel_called(found, "rapl.package-0.pl2").id, 0);
+  EXPECT_THAT(found.missing, missing_because("rapl.package-0.pl2 is not enabled"));
+  tree.write({{"dev/cpu/0/msr.tsv", "0x606\t0xa0e03\n0x610\t0xc8000000c8\n"}});  // later
+  EXPECT_EQ(poll_all(found)["rapl.package-0.pl1"].status, PollStatus::retry);
+}
+
+TEST(Msr, GivesNoReasonsOfAGpuThatIsNotThere) {
+  const Tree tree{{"dev/cpu/0/msr.tsv", "0x606\t0xa0e03\n0x64f\t0x1\n0x6b0\t0x1\n"}};
+  const Discovery found = discover(tree.root(), with_msr());
+  EXPECT_EQ(poll_all(found)["msr.core.throttle.prochot"].value, 1);
+  EXPECT_EQ(channel_called(found, "msr.gfx.throttle.prochot").id, 0);
+}
+
+TEST(Msr, BlamesLockdownOnlyWhereItIsOn) {
+  const Tree tree{{"dev/cpu/0/msr.tsv", "0x606\t0xa0e03\n"},
+                  {"sys/kernel/security/lockdown", "none [integrity] confidentiality\n"}};
+  const auto why = [&] {
+    return discover(tree.root({{"dev/cpu/0/msr.tsv", EPERM}}), with_msr()).missing;
+  };
+  EXPECT_THAT(why(), missing_because("lockdown"));
+  tree.write({{"sys/kernel/security/lockdown", "[none] integrity confidentiality\n"}});
+  EXPECT_THAT(why(), missing_because("CAP_SYS_RAWIO"));
+  EXPECT_THAT(why(), Not(missing_because("lockdown")));
+}
+
+TEST(Msr, SuggestsACommandForTheSameTree) {
+  const Tree tree;
+  const Discovery found = discover(tree.root(), Selection{.sources = {"msr"}});
+  EXPECT_THAT(found.missing, Contains(Field(&Missing::fix, HasSubstr("--root '" + tree.path()))));
 }
 
 TEST(Msr, TakesTheReasonsOfOldProcessorsFromTheirOwnRegister) {

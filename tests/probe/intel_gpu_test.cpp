@@ -215,7 +215,23 @@ TEST(Xe, DoesNotKeepTheGpuAwakeToKnowItsRequestedClock) {
   EXPECT_TRUE(requested.traits().slow);
   EXPECT_TRUE(requested.traits().wakes_device);
   EXPECT_GE(requested.period_ns(), ns_per_s);
-  EXPECT_FALSE(source_of(found, "xe.gt0.act_freq").traits().wakes_device);
+  EXPECT_TRUE(source_of(found, "xe.gt0.max_freq").traits().wakes_device);  // the firmware's answer
+}
+
+TEST(Xe, WakesADeviceThatMaySleepForItsActualClock) {
+  const std::string device = "sys/class/drm/card0/device/";
+  const Tree tree{{device + "uevent", "DRIVER=xe\n"},
+                  {device + "power/control", "auto\n"},
+                  {device + "tile0/gt0/freq0/act_freq", "0\n"},
+                  {device + "tile0/gt0/freq0/rp0_freq", "2400\n"}};
+  const auto act = [&] { return source_of(find(tree.root(), "xe"), "xe.gt0.act_freq").traits(); };
+  EXPECT_TRUE(act().wakes_device);
+  EXPECT_TRUE(act().slow);
+  tree.write({{device + "power/control", "on\n"}});
+  EXPECT_FALSE(act().wakes_device);
+  EXPECT_FALSE(act().slow);
+  const Discovery found = find(tree.root(), "xe");
+  EXPECT_GE(source_of(found, "xe.gt0.rp0_freq").period_ns(), 60 * ns_per_s);  // never changes
 }
 
 TEST(Xe, DoesNotBelieveAnImpossibleClock) {

@@ -308,6 +308,18 @@ TEST(Sampler, DoesNotLetASlowSourceDelayAQuickOne) {
   sampler.stop();
 }
 
+TEST(Sampler, DoesNotLetASlowChipDelayAnother) {
+  Sources sources;
+  for (const char* chip : {"nvme@0", "nvme@1", "nvme@1"})
+    sources.push_back(std::make_unique<CountingSource>(static_cast<int32_t>(sources.size()) + 1,
+                                                       ns_per_s, std::chrono::milliseconds(0),
+                                                       SourceTraits{.slow = true, .chip = chip}));
+  Sampler sampler(sources);
+  sampler.start();
+  EXPECT_EQ(sampler.stats().thread_count, 2);
+  sampler.stop();
+}
+
 TEST(Sampler, PollsNothingBetweenPauseAndResume) {
   Sources sources;
   sources.push_back(std::make_unique<CountingSource>(1, ns_per_ms));

@@ -5,6 +5,8 @@
 #include <gtest/gtest.h>
 #include <rapidcheck/gtest.h>
 #include <sys/resource.h>
+#include <sys/socket.h>
+#include <sys/un.h>
 
 #include <array>
 #include <cerrno>
@@ -144,6 +146,22 @@ TEST(CheckIntFile, SaysWhyAFileIsNoUse) {
   const CheckedFile busy = check_int_file(root, "busy");
   EXPECT_EQ(busy.problem, "");  // it may answer later
   EXPECT_EQ(busy.value, std::nullopt);
+}
+
+TEST(TextFile, TriesAgainWhereAnErrorIsExpectedToPass) {
+  const Tree tree;
+  const std::string path = tree.path() + "/socket";
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  path.copy(address.sun_path, sizeof address.sun_path - 1);
+  const int fd = socket(AF_UNIX, SOCK_STREAM, 0);
+  ASSERT_EQ(bind(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+  TextFile file(tree.root(), "socket");
+  EXPECT_EQ(file.read_int().status, PollStatus::gone);  // ENXIO
+  TextFile patient(tree.root(), "socket");
+  patient.expect(ENXIO);
+  EXPECT_EQ(patient.read_int().status, PollStatus::retry);
+  close(fd);
 }
 
 }  // namespace

@@ -156,11 +156,25 @@ TEST(CoolingDevice, BelongsToTheGpuItSlowsDown) {
   EXPECT_THAT(found.missing, missing_because("cooling_device4/cur_state': Invalid argument", ""));
 }
 
-TEST(ThermalThrottle, TakesTheHighestOfEachPackage) {
+TEST(CoolingDevice, OfTheOnlyDevfreqDeviceBelongsToItsGpu) {
+  const std::string state = "thermal.cooling.thermal-devfreq-0.state";
+  const Tree tree{{zones + "cooling_device0/type", "thermal-devfreq-0\n"},
+                  {zones + "cooling_device0/cur_state", "0\n"},
+                  {zones + "cooling_device0/max_state", "4\n"},
+                  {"sys/class/devfreq/ff9a0000.gpu/cur_freq", "200000000\n"}};
+  EXPECT_EQ(channel_called(find(tree.root(), "thermal"), state).gpu, "ff9a0000.gpu");
+  tree.write({{"sys/class/devfreq/dmc/cur_freq", "800000000\n"}});
+  const Discovery either = find(tree.root(), "thermal");
+  EXPECT_EQ(channel_called(either, state).gpu, "");
+  EXPECT_THAT(verdict(either), testing::Not(HasSubstr("throttling of the package (")));
+}
+
+TEST(ThermalThrottle, TakesTheHighestOfEachPackageAndTheSumOfCores) {
   const Tree tree;
   for (int cpu = 0; cpu < 8; ++cpu) {
     const std::string path = cpus + "cpu" + std::to_string(cpu) + "/";
     tree.write({{path + "topology/physical_package_id", std::to_string(cpu / 4) + "\n"},
+                {path + "topology/core_id", std::to_string(cpu % 4 / 2) + "\n"},
                 {path + "thermal_throttle/package_throttle_count", std::to_string(cpu) + "\n"},
                 {path + "thermal_throttle/core_throttle_total_time_ms", "1\n"}});
   }
@@ -168,12 +182,17 @@ TEST(ThermalThrottle, TakesTheHighestOfEachPackage) {
   auto readings = poll_all(found);
   EXPECT_EQ(readings["cpu.package-0.throttle.count"].value, 3);
   EXPECT_EQ(readings["cpu.package-1.throttle.count"].value, 7);
-  EXPECT_EQ(readings["cpu.core.throttle.time"].value, 1);
-  tree.write({{cpus + "cpu1/thermal_throttle/package_throttle_count", "9\n"}});
-  tree.remove(cpus + "cpu3");  // switched off
+  EXPECT_EQ(readings["cpu.core.throttle.time"].value, 4);  // cores of two CPUs each
+  EXPECT_THAT(channel_called(found, "cpu.core.throttle.time").origin,
+              HasSubstr("sum over 4 cores"));
+  tree.write({{cpus + "cpu1/thermal_throttle/package_throttle_count", "9\n"},
+              {cpus + "cpu4/thermal_throttle/core_throttle_total_time_ms", "11\n"}});
+  tree.remove(cpus + "cpu2");  // switched off, and with it
+  tree.remove(cpus + "cpu3");  // all of a core
   readings = poll_all(found);
   EXPECT_EQ(readings["cpu.package-0.throttle.count"].value, 9);
   EXPECT_EQ(readings["cpu.core.throttle.time"].status, PollStatus::ok);
+  EXPECT_EQ(readings["cpu.core.throttle.time"].value, 14);
   for (const Channel& channel : std::as_const(*found.sources[0]).channels()) {
     EXPECT_EQ(channel.quantity, Quantity::throttle) << channel.name;
     EXPECT_EQ(channel.kind, Kind::cumulative) << channel.name;
