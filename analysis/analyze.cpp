@@ -213,8 +213,9 @@ void add_cache_model(const RunRecord& run, std::vector<Cell>& cells) {
 /// Outliers with their causes, and what they are judged by.
 void add_outliers(const RunRecord& run, Analysis& analysis) {
   const std::vector<TimedFrame> frames = timed_frames(run, analysis.cells);
-  OutlierSearch search = find_slow_frames(frames);
   analysis.throttling = find_throttling(run, frames);
+  OutlierSearch search =
+      find_slow_frames(frames, throttled_clock(run, frames, analysis.throttling));
   std::vector<Attribution> causes = find_causes(run, frames, search, analysis.throttling);
   for (std::size_t i = 0; i < search.slow.size(); ++i) {
     const SlowFrame& slow = search.slow[i];

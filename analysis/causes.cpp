@@ -420,19 +420,29 @@ class Judge {
         look_at_quota(source, looks);
         continue;
       }
-      Tail tail(source.poll_ns);
+      Tail of_run(source.poll_ns);
+      std::map<std::size_t, Tail> of_cells;
       for (std::size_t i = 0; i < frames_.size(); ++i) {
         const TimedFrame& frame = frames_[i];
-        if (normal_[i] && source.known.share(frame.begin_ns, frame.end_ns) > 0.5)
-          tail.add(frame, set_share(source, {frame.begin_ns, frame.end_ns}));
+        if (!normal_[i] || source.known.share(frame.begin_ns, frame.end_ns) <= 0.5) continue;
+        const double share = set_share(source, {frame.begin_ns, frame.end_ns});
+        of_run.add(frame, share);
+        of_cells.try_emplace(frame.cell, source.poll_ns).first->second.add(frame, share);
       }
-      tail.sort();
+      of_run.sort();
+      for (auto& [cell, of_cell] : of_cells) of_cell.sort();
       // How the machine runs; but where most frames are slow, their reason is most of the time,
-      // too.
-      if (source.regime && tail.at_least(min_set_share) > 0.5) continue;
+      // too. Then the normal frames of the cell tell.
+      const bool is_usual = source.regime && of_run.at_least(min_set_share) > 0.5;
       const Channel& channel = run_.channels[source.channel];
       for (std::size_t c = 0; c < cases_.size(); ++c) {
         Case& one = cases_[c];
+        const auto of_cell = of_cells.find(one.frame->cell);
+        if (is_usual &&
+            (of_cell == of_cells.end() || of_cell->second.count() < min_trial_reference ||
+             of_cell->second.at_least(min_set_share) > 0.5))
+          continue;
+        const Tail& tail = is_usual ? of_cell->second : of_run;
         const Window window = window_of(one, source.poll_ns);
         if (source.known.share(window.begin_ns, window.end_ns) < 0.5) continue;
         double share = set_share(source, window);

@@ -186,8 +186,11 @@ Level fast_level(const std::vector<double>& x) {
   auto found = modes.begin();
   for (; found != modes.end(); ++found) {
     if (found->count >= needed) break;
+    // A frame during which the clock fell lies between the two regimes and is neither.
+    const auto next = std::find_if(found + 1, modes.end(),
+                                   [&](const Mode& mode) { return mode.count >= found->count; });
     const bool is_clear =
-        found + 1 != modes.end() && (found + 1)->peak - found->peak >= std::log(clear_gap_ratio);
+        next != modes.end() && next->peak - found->peak >= std::log(clear_gap_ratio);
     if (is_clear && found->count >= needed_if_clear) break;
   }
   const Mode mode = found != modes.end()
@@ -482,18 +485,50 @@ void compare_trials(std::vector<Group>& groups, std::span<const TimedFrame> fram
     }
 }
 
+/// What a cell's fastest trial took, as the logarithm of a ratio to what it takes unthrottled:
+/// where the frames of its fast regime were held back, by what the clock lacked.
+double held_back_in(const Group& group, std::span<const double> clock_ratio) {
+  constexpr double near = 0.1;
+  std::vector<double> held;
+  for (std::size_t i = 0; i < group.x.size(); ++i)
+    if (std::abs(group.x[i] - group.base[i]) < near)
+      held.push_back(-std::log(clock_ratio[group.frames[i]]));
+  return held.empty() ? 0 : median(held);
+}
+
+/// Marks the cells all of whose trials were throttled from the first frame to the last: only the
+/// clock tells how long their frames take else, as work is clock x time.
+void compare_clocks(std::vector<Group>& groups, std::span<const TimedFrame> frames,
+                    std::span<const double> clock_ratio) {
+  std::map<std::size_t, double> least;  // by cell
+  for (const Group& group : groups) {
+    const double held = held_back_in(group, clock_ratio);
+    const auto [found, is_new] =
+        least.emplace(frames[group.frames.front()].cell, group.entirely_slow ? INFINITY : held);
+    if (!is_new && !group.entirely_slow) found->second = std::min(found->second, held);
+  }
+  for (Group& group : groups) {
+    const double held = least.at(frames[group.frames.front()].cell);
+    if (!(held >= std::log(entirely_slow_ratio)) || std::isinf(held)) continue;
+    group.entirely_slow = true;
+    for (double& base : group.base) base -= held;
+  }
+}
+
 }  // namespace
 
 std::string_view to_string(OutlierShape shape) {
   return shape == OutlierShape::spike ? "spike" : "stretch";
 }
 
-OutlierSearch find_slow_frames(std::span<const TimedFrame> frames) {
+OutlierSearch find_slow_frames(std::span<const TimedFrame> frames,
+                               std::span<const double> clock_ratio) {
   OutlierSearch result;
   result.baseline_ms.resize(frames.size());
   std::vector<Group> groups = make_groups(frames);
   tbb::parallel_for(std::size_t{0}, groups.size(), [&](std::size_t g) { set_baseline(groups[g]); });
   compare_trials(groups, frames);
+  if (!clock_ratio.empty()) compare_clocks(groups, frames, clock_ratio);
 
   Noise noise;
   const bool any_long = std::any_of(groups.begin(), groups.end(), [](const Group& group) {

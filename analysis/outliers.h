@@ -31,7 +31,8 @@ struct TrialRegime {
   double spread_ratio = 0;  ///< robust standard deviation of its frames / baseline
   /// Growth of the baseline from the first frame to the last, as a ratio: a machine that warms up.
   double drift_ratio = 1;
-  /// All its frames are slow: the baseline is that of the cell's other trials.
+  /// All its frames are slow: the baseline is that of the cell's other trials, or, where all of
+  /// those were throttled, what it would be at the steady clock.
   bool entirely_slow = false;
 };
 
@@ -59,8 +60,13 @@ struct OutlierSearch {
 /// lowest mode of the trial with enough frames (docs/method.md), with Student-t noise whose tail is
 /// learned from all trials; and slow, anything from min_outlier_ratio up. Change points are changes
 /// of state. A slow drift moves the baseline and makes no outlier. A trial whose fast regime is
-/// more than 1.35 times that of the cell's fastest trial is slow as a whole. With fewer than 5
+/// more than 1.35 times that of the cell's fastest trial is slow as a whole; so are all trials of a
+/// cell if reasons to throttle held the clock that far down even in the fastest. With fewer than 5
 /// frames in a trial its cell's frames are judged together.
-OutlierSearch find_slow_frames(std::span<const TimedFrame> frames);
+///
+/// `clock_ratio`, of each frame: its clock / the steady clock while a reason to throttle was set,
+/// else 1. Empty: unknown.
+OutlierSearch find_slow_frames(std::span<const TimedFrame> frames,
+                               std::span<const double> clock_ratio = {});
 
 }  // namespace energyprof::analysis

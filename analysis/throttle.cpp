@@ -820,4 +820,24 @@ Throttling find_throttling(const RunRecord& run, std::span<const TimedFrame> fra
   return throttling;
 }
 
+std::vector<double> throttled_clock(const RunRecord& run, std::span<const TimedFrame> frames,
+                                    const Throttling& throttling) {
+  std::vector<const ThrottleSource*> sources;
+  for (const ThrottleSource& source : throttling.sources)
+    if (!source.quota && !source.inferred && !source.regime && !source.active.spans().empty())
+      sources.push_back(&source);
+  const auto clock = sources.empty() ? std::nullopt : device_clock(run, frames);
+  if (!clock) return {};
+  std::vector<double> result(frames.size(), 1.0);
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    const TimedFrame& frame = frames[i];
+    const bool is_set = std::any_of(sources.begin(), sources.end(), [&](const auto* source) {
+      return source->active.share(frame.begin_ns, frame.end_ns) > 0.5;
+    });
+    const auto ratio = is_set ? clock->over(frame.begin_ns, frame.end_ns) : std::nullopt;
+    if (ratio && *ratio > 0) result[i] = std::min(*ratio, 1.0);
+  }
+  return result;
+}
+
 }  // namespace energyprof::analysis

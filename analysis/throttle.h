@@ -118,4 +118,9 @@ std::optional<DeviceClock> device_clock(const RunRecord& run, std::span<const Ti
 ///   where the power is at its limit, thermal where the temperature is, else none.
 Throttling find_throttling(const RunRecord& run, std::span<const TimedFrame> frames);
 
+/// Of each frame its clock / the steady clock where a reason, neither inferred nor a regime, was
+/// set for most of it; else 1. Empty where no clock was recorded or no such reason was set.
+std::vector<double> throttled_clock(const RunRecord& run, std::span<const TimedFrame> frames,
+                                    const Throttling& throttling);
+
 }  // namespace energyprof::analysis

@@ -113,6 +113,69 @@ TEST(Cause, IsNotAReasonThatIsAlwaysSet) {
     EXPECT_EQ(outlier.attribution.cause, Cause::unexplained);
 }
 
+/// B's 200 frames are throttled to half the clock from the 100th on, all of A's 100 after them as
+/// well; C's 100 run freely again. Channels at 1 kHz.
+struct ThrottledTrial {
+  explicit ThrottledTrial(bool with_reason) {
+    std::vector<double> times_ms(200);
+    for (std::size_t i = 0; i < 200; ++i)
+      times_ms[i] = (i < 100 ? 10 : 20) + 0.1 * static_cast<double>(i % 3);
+    builder.add_trial("m", 0, "B", times_ms);
+    const auto begin =
+        static_cast<std::size_t>((builder.run.frames[100].begin_ns - planted::begin_ns) / ms);
+    builder.add_trial("m", 0, "A", std::vector<double>(times_ms.begin() + 100, times_ms.end()));
+    const auto end = static_cast<std::size_t>((builder.now_ns - planted::begin_ns) / ms);
+    builder.add_trial("m", 0, "C", std::vector<double>(times_ms.begin(), times_ms.begin() + 100));
+    const auto count = static_cast<std::size_t>((builder.now_ns - planted::begin_ns) / ms);
+    builder.add_channel("i915.gt0.act_freq", Quantity::frequency, Unit::megahertz, Kind::gauge, ms,
+                        count,
+                        [=](std::size_t i) { return i >= begin && i < end ? 650.0 : 1300.0; });
+    if (with_reason)
+      builder.add_channel("i915.gt0.throttle.pl1", Quantity::throttle, Unit::none, Kind::flag, ms,
+                          count, [=](std::size_t i) { return i >= begin && i < end ? 1.0 : 0.0; });
+  }
+  RunBuilder builder;
+};
+
+TEST(Cause, OfATrialThatIsThrottledThroughoutIsTheReason) {
+  const ThrottledTrial made(/*with_reason=*/true);
+  const Analysis analysis = analyze(made.builder.run);
+  std::map<std::string, std::size_t> count;
+  for (const Outlier& outlier : analysis.outliers) {
+    ++count[analysis.cells[outlier.cell].algorithm];
+    EXPECT_EQ(outlier.attribution.cause, Cause::throttle_power);
+    EXPECT_NEAR(outlier.ratio, 2, 0.1);
+  }
+  EXPECT_EQ(count["A"], 100u);
+  EXPECT_EQ(count["B"], 100u);
+  EXPECT_EQ(count["C"], 0u);
+}
+
+TEST(Cause, WithoutAReasonATrialAtALowClockIsHowItRuns) {
+  const ThrottledTrial made(/*with_reason=*/false);
+  const Analysis analysis = analyze(made.builder.run);
+  for (const Outlier& outlier : analysis.outliers)
+    EXPECT_EQ(analysis.cells[outlier.cell].algorithm, "B");
+}
+
+TEST(Cause, IsAReasonThatIsUsualButNotInFastFramesOfTheSameKind) {
+  // Set in all frames of A, B and C but A's first twenty, which are twice as fast: exposure 96 %.
+  RunBuilder builder;
+  std::vector<double> times_ms(200);
+  for (std::size_t i = 0; i < 200; ++i)
+    times_ms[i] = (i < 20 ? 10 : 20) + 0.1 * static_cast<double>(i % 3);
+  builder.add_trial("m", 0, "A", times_ms);
+  builder.add_trial("m", 0, "B", std::vector<double>(times_ms.begin() + 20, times_ms.end()));
+  builder.add_trial("m", 0, "C", std::vector<double>(times_ms.begin() + 20, times_ms.end()));
+  builder.add_channel("i915.gt0.throttle.pl1", Quantity::throttle, Unit::none, Kind::flag, ms,
+                      static_cast<std::size_t>((builder.now_ns - planted::begin_ns) / ms),
+                      [](std::size_t i) { return i >= 202 ? 1.0 : 0.0; });
+  const auto outliers = analyze(builder.run).outliers;
+  EXPECT_EQ(outliers.size(), 180u);
+  for (const Outlier& outlier : outliers)
+    EXPECT_EQ(outlier.attribution.cause, Cause::throttle_power);
+}
+
 TEST(Cause, IsAReasonThatIsSetInNearlyAllOfTheTimeAsMostFramesAreSlow) {
   // 60 fast frames, then 140 of five times the time: the flag is set for 92 % of the time.
   RunBuilder builder;

@@ -103,6 +103,13 @@ TEST(Outliers, AreFoundWhenATrialIsThrottledSoonAfterItBegan) {
   EXPECT_EQ(search_trial(times_ms).slow.size(), 94u);
 }
 
+TEST(Outliers, AFrameBetweenTwoRegimesDoesNotJoinThem) {
+  auto times_ms = noisy(100, 10, 0.004, 3);
+  times_ms[8] *= 1.2;
+  for (std::size_t i = 9; i < 100; ++i) times_ms[i] *= 1.5;
+  EXPECT_EQ(search_trial(times_ms).slow.size(), 92u);
+}
+
 TEST(Outliers, AFewFramesThatWereSomewhatFasterAreNoRegime) {
   auto times_ms = noisy(100, 10, 0.02, 3);
   for (std::size_t i = 0; i < 6; ++i) times_ms[i] *= 0.82;
