@@ -21,6 +21,15 @@ namespace {
 constexpr int64_t retry_rarely_ns = ns_per_s;
 constexpr int64_t path_check_ns = 50 * ns_per_ms;
 
+int open_to_read(const std::string& path) {
+  // O_NOFOLLOW: all links were followed inside the root already; a new one could lead out of it.
+  // O_NONBLOCK: a pipe below a --root would be waited for.
+  constexpr int flags = O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK;
+  // Keeping the time of the last access would cost each read some 5 %. Only owners may go without.
+  const int fd = open(path.c_str(), flags | O_NOATIME);
+  return fd < 0 && errno == EPERM ? open(path.c_str(), flags) : fd;
+}
+
 }  // namespace
 
 bool is_transient(int error) {
@@ -80,6 +89,8 @@ TextFile::TextFile(TextFile&& other) noexcept
       may_be_replaced_(other.may_be_replaced_),
       next_path_check_ns_(other.next_path_check_ns_),
       fd_(std::exchange(other.fd_, -1)),
+      device_(other.device_),
+      inode_(other.inode_),
       passing_error_(other.passing_error_),
       error_(other.error_),
       error_until_ns_(other.error_until_ns_) {}
@@ -95,9 +106,7 @@ TextFile::Read TextFile::read(std::span<char> buffer) noexcept {
   int error = 0;
   ssize_t got = 0;
   if (fd_ >= 0 && may_be_replaced_ && was_replaced(before_ns)) close(std::exchange(fd_, -1));
-  // O_NOFOLLOW: all links were followed inside the root already; a new one could lead out of it.
-  // O_NONBLOCK: a pipe below a --root would be waited for.
-  if (fd_ < 0) fd_ = open(host_path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
+  if (fd_ < 0) open_anew();
   if (fd_ < 0) {
     error = errno;
   } else {
@@ -120,14 +129,21 @@ TextFile::Read TextFile::read(std::span<char> buffer) noexcept {
           error};
 }
 
+void TextFile::open_anew() noexcept {
+  fd_ = open_to_read(host_path_);
+  struct stat open_file {};
+  if (fd_ < 0 || !may_be_replaced_ || fstat(fd_, &open_file) != 0) return;
+  device_ = open_file.st_dev;
+  inode_ = open_file.st_ino;
+}
+
 // Whether the path leads elsewhere now; looks every path_check_ns.
 bool TextFile::was_replaced(int64_t now_ns) noexcept {
   if (now_ns < next_path_check_ns_) return false;
   next_path_check_ns_ = now_ns + path_check_ns;
   struct stat named_file {};
-  struct stat open_file {};
-  return lstat(host_path_.c_str(), &named_file) != 0 || fstat(fd_, &open_file) != 0 ||
-         named_file.st_ino != open_file.st_ino || named_file.st_dev != open_file.st_dev;
+  return lstat(host_path_.c_str(), &named_file) != 0 || named_file.st_ino != inode_ ||
+         named_file.st_dev != device_;
 }
 
 Reading TextFile::Read::reading(std::optional<int64_t> value) const {

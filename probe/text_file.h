@@ -1,6 +1,8 @@
 /// Small kernel text files that are read again and again, and what their errors mean.
 #pragma once
 
+#include <sys/types.h>
+
 #include <cstdint>
 #include <optional>
 #include <span>
@@ -60,6 +62,7 @@ class TextFile {
   [[nodiscard]] const std::string& path() const { return display_path_; }
 
  private:
+  void open_anew() noexcept;
   bool was_replaced(int64_t now_ns) noexcept;
 
   std::string display_path_;
@@ -67,6 +70,8 @@ class TextFile {
   bool may_be_replaced_;
   int64_t next_path_check_ns_ = 0;
   int fd_ = -1;
+  dev_t device_ = 0;  // of the open file, with inode_: who it is
+  ino_t inode_ = 0;
   int passing_error_ = 0;
   int error_ = 0;               // repeated without a read ...
   int64_t error_until_ns_ = 0;  // ... until then; where it is final, for ever
