@@ -685,9 +685,17 @@ class Judge {
     const std::vector<bool> undisturbed = normal_without_stops(track.resolution_ns());
     const Reference reference(frames_, undisturbed, rates);
     Tail tail(track.resolution_ns());
-    for (std::size_t i = 0; i < frames_.size(); ++i)
-      if (undisturbed[i] && rates[i]) tail.add(frames_[i], *rates[i]);
+    // Seconds beyond the usual: a frame that waited for long and a short one that waited all its
+    // time have the same rate, and only the first one is slow.
+    Tail tail_s(track.resolution_ns());
+    for (std::size_t i = 0; i < frames_.size(); ++i) {
+      if (!undisturbed[i] || !rates[i]) continue;
+      tail.add(frames_[i], *rates[i]);
+      if (const auto expected = reference.of(frames_[i]))
+        tail_s.add(frames_[i], (*rates[i] - *expected) * frames_[i].ms * 1e-3);
+    }
     tail.sort();
+    tail_s.sort();
     if (tail.count() < min_cell_reference) return;
     const double usual = tail.quantile_of(0.9);
     for (std::size_t c = 0; c < cases_.size(); ++c) {
@@ -708,9 +716,12 @@ class Judge {
         // Time that others had is time that the frame lost; several CPUs may each lose it.
         const double lost_ratio = coarse ? excess_s / length_s : 1 - 1 / one.slow->ratio;
         const double explained = (*rate - expected) / lost_ratio;
-        is_for = explained > 0.3 && *rate > usual;
+        const double beyond_s = (*rate - expected) * one.frame->ms * 1e-3;
+        const bool in_seconds = !coarse && tail_s.count() >= min_cell_reference;
+        is_for =
+            explained > 0.3 && (in_seconds ? beyond_s > tail_s.quantile_of(0.9) : *rate > usual);
         if (is_for)
-          ratio = ratio_against(tail, *rate);
+          ratio = in_seconds ? ratio_against(tail_s, beyond_s) : ratio_against(tail, *rate);
         else if (resolved && explained < 0.1)
           ratio = 0.1;
         one.off_processor = one.off_processor || (is_for && explained > 0.7);

@@ -298,6 +298,33 @@ TEST(Cause, IsInterferenceWhereOwnThreadsWaitLongAfterAnyStop) {
     EXPECT_EQ(to_string(found.cause), to_string(Cause::interference));
 }
 
+TEST(Cause, IsInterferenceThatLastsLongerThanShortFramesHaveAtTheSameRate) {
+  // On a busy machine each fourth of the frames of 10 ms waits for more than all of its time; five
+  // frames do so for 60 ms.
+  const auto is_long = [](std::size_t i) { return i % 40 == 21; };
+  RunBuilder builder;
+  std::vector<double> times_ms;
+  for (std::size_t i = 0; i < 200; ++i)
+    times_ms.push_back(is_long(i) ? 60 : 10 + 0.1 * static_cast<double>(i % 3));
+  builder.add_trial("m", 0, "A", times_ms);
+  const auto count = static_cast<std::size_t>((builder.now_ns - planted::begin_ns) / ms);
+  const std::vector<FrameRecord> frames = builder.run.frames;
+  builder.add_channel(
+      "process.cpu_wait", Quantity::interference, Unit::nanosecond, Kind::cumulative, ms, count,
+      [&, frame = std::size_t{0}, waited_ns = 0.0](std::size_t i) mutable {
+        const int64_t t_ns = planted::begin_ns + static_cast<int64_t>(i) * ms;
+        while (frame + 1 < frames.size() && t_ns >= frames[frame].end_ns) ++frame;
+        return waited_ns += is_long(frame) ? 1.2e6 : (frame % 4 == 0 ? 1.5e6 : 0.1e6);
+      });
+  const std::vector<Outlier> found = analyze(builder.run).outliers;
+  EXPECT_EQ(found.size(), 5u);
+  for (const Outlier& outlier : found) {
+    EXPECT_EQ(to_string(outlier.attribution.cause), to_string(Cause::interference));
+    ASSERT_FALSE(outlier.attribution.evidence.empty());
+    EXPECT_EQ(outlier.attribution.evidence.front().channel, "process.cpu_wait");
+  }
+}
+
 TEST(Cause, IsStolenTime) {
   OneStretch stretch(20);
   stretch.counter("proc.stat.steal", Quantity::interference, Unit::clock_tick, 0.05, 0);

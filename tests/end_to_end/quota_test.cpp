@@ -120,17 +120,13 @@ class Quota : public testing::Test {
     std::size_t throttled = 0;
     std::string text;
   };
-  /// `others_ran`: only those of at least four times the time, which are stops; what others do is
-  /// less than that.
-  static void add_outliers(const fs::path& run, bool others_ran, Count& count) {
+  static void add_outliers(const fs::path& run, Count& count) {
     const json report = json::parse(test::read_text(run / "report.json"));
     for (const json& outlier : report.at("outliers")) {
-      const double ratio = outlier.at("ratio").get<double>();
-      if (others_ran && ratio < 4) continue;
       const auto cause = outlier.at("cause").get<std::string>();
       ++count.all;
       count.throttled += cause.starts_with("throttle") ? 1 : 0;
-      count.text += fmt::format("{:.1f} x {} ({:.2f}); ", ratio, cause,
+      count.text += fmt::format("{:.1f} x {} ({:.2f}); ", outlier.at("ratio").get<double>(), cause,
                                 outlier.at("confidence").get<double>());
     }
   }
@@ -159,26 +155,39 @@ TEST_F(Quota, ThrottlingIsNamedWhereItIsAndNowhereElse) {
   HalfCpu group;
   if (const std::string reason = group.make(); !reason.empty()) GTEST_SKIP() << reason;
 
+  // What others do on the CPUs meanwhile slows frames, too, and is rightly called interference: two
+  // runs are judged during which there was little of it.
+  constexpr int wanted_count = 2;
+  constexpr int try_count = 6;
+  constexpr double quiet = 0.05;
   const int width = fitting_width();
   Count with;
-  for (const char* name : {"held", "held again"}) {
+  int held_count = 0;
+  std::string others_text;
+  for (int i = 0; i < try_count && held_count < wanted_count; ++i) {
+    const fs::path dir = dir_ / fmt::format("held {}", i);
     const double others_before_s = others_s();
     const auto begin = std::chrono::steady_clock::now();
-    const Output held = test::run(group.inside(study(dir_ / name, width)));
+    const Output held = test::run(group.inside(study(dir, width)));
     ASSERT_EQ(held.code, 0) << held.err;
     const std::chrono::duration<double> length = std::chrono::steady_clock::now() - begin;
     const double others = (others_s() - others_before_s) / length.count();
-    with.text += fmt::format("others had {:.2f} of a CPU; ", others);
-    add_outliers(dir_ / name, others > 0.05, with);
+    others_text += fmt::format(" {:.2f}", others);
+    if (others > quiet) continue;
+    ++held_count;
+    add_outliers(dir, with);
   }
   const Output freed = test::run(study(dir_ / "freed", width));
   ASSERT_EQ(freed.code, 0) << freed.err;
+  Count without;
+  add_outliers(dir_ / "freed", without);
+  EXPECT_EQ(without.throttled, 0u) << without.text;
 
+  if (held_count < wanted_count)
+    GTEST_SKIP() << "other programs used too much of the CPUs (" << others_text
+                 << " of one, run by run).";
   EXPECT_GE(with.all, 20u) << with.text;
   EXPECT_GE(static_cast<double>(with.throttled), 0.95 * static_cast<double>(with.all)) << with.text;
-  Count without;
-  add_outliers(dir_ / "freed", false, without);
-  EXPECT_EQ(without.throttled, 0u) << without.text;
 }
 
 }  // namespace
