@@ -49,9 +49,9 @@ constexpr int64_t dearest_switch_ns = 5 * ns_per_us;
 // A channel's counters, one for each processor where those are counted and not threads.
 using Counters = std::vector<Counter>;
 
-// An event on one kind of core.
+// An event on one kind of core; with the same number, on the others.
 struct Counted {
-  const NamedEvent* event = nullptr;
+  size_t event = 0;
   Counters counters;
 };
 
@@ -81,7 +81,7 @@ class PerfSource final : public SensorSource {
       const int64_t width_ns = now_ns() - before_ns;
       out[i] = {status_of(sum.error), before_ns + width_ns / 2, static_cast<int64_t>(sum.value),
                 width_ns, sum.error};
-      since_last_[i] = {static_cast<size_t>(events_[i].event - hardware_events.data())};
+      since_last_[i] = {events_[i].event};
       if (sum.error != 0) continue;
       since_last_[i].enabled_ns = sum.enabled_ns - last_[i].enabled_ns;
       since_last_[i].running_ns = sum.running_ns - last_[i].running_ns;
@@ -149,7 +149,9 @@ class Opening {
     if (!cpus_.empty()) channel.origin += ", of everything that runs";
     if (plan.exclude_kernel) channel.origin += ", user mode only";
     channels_.push_back(std::move(channel));
-    events_.push_back({&event, std::move(opened)});
+    if (last_event_ != &event) ++event_count_;
+    last_event_ = &event;
+    events_.push_back({event_count_, std::move(opened)});
     return true;
   }
 
@@ -224,6 +226,8 @@ class Opening {
   std::vector<int> cpus_;
   std::vector<Channel> channels_;
   std::vector<Counted> events_;
+  const NamedEvent* last_event_ = nullptr;
+  size_t event_count_ = 0;
   std::map<int, Failure> failures_;  // by errno
   std::vector<Missing> unknown_;
 };
