@@ -931,6 +931,7 @@ EnergyReport price_energy(const RunRecord& run, std::span<const Cell> cells,
 
   std::vector<Priced> priced;
   std::string why_none = "no energy channel was recorded";
+  bool a_counter_says_why = false;
   std::set<EnergyDomain> counted_domains;
   for (const bool power : {false, true}) {
     for (const Channel& channel : run.channels) {
@@ -941,7 +942,11 @@ EnergyReport price_energy(const RunRecord& run, std::span<const Cell> cells,
       const EnergyCurve curve(channel, series == run.series.end() ? SampleSeries{} : series->second,
                               sleeps);
       if (!curve.problem().empty()) {
-        if (!power) why_none = fmt::format("{}: {}", channel.name, curve.problem());
+        // The first counter's reason: what is left in a battery, a gauge, prices nothing anyway.
+        if (!power && !a_counter_says_why) {
+          why_none = fmt::format("{}: {}", channel.name, curve.problem());
+          a_counter_says_why = channel.kind == Kind::cumulative;
+        }
         continue;
       }
       if (!power) counted_domains.insert(domain);

@@ -397,6 +397,16 @@ TEST(Energy, CountersThatStandStillAreUnsupported) {
   EXPECT_THAT(report.rows.front().refused,
               HasSubstr("rapl.uncore.energy: it never moved: unsupported, not 0"));
   EXPECT_FALSE(report.rows.front().joules_per_frame);
+  // What a battery has left is no reason.
+  Channel battery;
+  battery.id = 77;
+  battery.name = "battery.bat0.energy";
+  battery.quantity = Quantity::energy;
+  battery.unit = Unit::microjoule;
+  battery.kind = Kind::gauge;
+  machine.run.channels.push_back(battery);
+  machine.run.series[battery.id] = {{0, ms}, {5, 5}};
+  EXPECT_THAT(machine.price().rows.front().refused, HasSubstr("rapl.uncore.energy"));
   // With another counter, that one is used.
   machine.count("rapl.package-0.energy", 976 * us, ms);
   report = machine.price();
