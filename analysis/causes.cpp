@@ -373,7 +373,7 @@ class Judge {
       const auto series = run_.series.find(channel.id);
       if (channel.name == name && channel.kind == Kind::cumulative && series != run_.series.end() &&
           !series->second.t_ns.empty())
-        return ChannelTrack(channel, series->second);
+        return ChannelTrack(channel, series->second, sleeps_of(run_));
     }
     return std::nullopt;
   }
@@ -606,7 +606,7 @@ class Judge {
       if (channel.quantity == Quantity::cache_miss ||
           channel.quantity == Quantity::memory_traffic ||
           channel.quantity == Quantity::interference)
-        result.push_back({&channel, ChannelTrack(channel, series->second), {}});
+        result.push_back({&channel, ChannelTrack(channel, series->second, sleeps_of(run_)), {}});
     }
     tbb::parallel_for(std::size_t{0}, result.size(), [&](std::size_t c) {
       for (const TimedFrame& frame : frames_)

@@ -927,9 +927,11 @@ EnergyReport price_energy(const RunRecord& run, std::span<const Cell> cells,
   report.cell_joules_per_frame.resize(cells.size());
   if (frames.empty()) return report;
   const Plan plan = make_plan(run, cells, frames);
+  const std::vector<Sleep> sleeps = sleeps_of(run);
 
   std::vector<Priced> priced;
   std::string why_none = "no energy channel was recorded";
+  bool a_counter_says_why = false;
   std::set<EnergyDomain> counted_domains;
   for (const bool power : {false, true}) {
     for (const Channel& channel : run.channels) {
@@ -937,17 +939,21 @@ EnergyReport price_energy(const RunRecord& run, std::span<const Cell> cells,
       const EnergyDomain domain = energy_domain(channel);
       if (power && counted_domains.contains(domain)) continue;
       const auto series = run.series.find(channel.id);
-      const EnergyCurve curve(channel,
-                              series == run.series.end() ? SampleSeries{} : series->second);
+      const EnergyCurve curve(channel, series == run.series.end() ? SampleSeries{} : series->second,
+                              sleeps);
       if (!curve.problem().empty()) {
-        if (!power) why_none = fmt::format("{}: {}", channel.name, curve.problem());
+        // The first counter's reason: what is left in a battery, a gauge, prices nothing anyway.
+        if (!power && !a_counter_says_why) {
+          why_none = fmt::format("{}: {}", channel.name, curve.problem());
+          a_counter_says_why = channel.kind == Kind::cumulative;
+        }
         continue;
       }
       if (!power) counted_domains.insert(domain);
       if (curve.break_count() > 0)
         report.warnings.push_back(fmt::format(
-            "{} broke off {}: it was reset, read wrongly or not read for too long. Windows across "
-            "a break are left out.",
+            "{} broke off {}: it was reset, read wrongly or not read for too long, or the machine "
+            "slept. Windows across a break are left out.",
             channel.name, counted(curve.break_count(), "time")));
       Pricing pricing(run, plan, curve, config);
       Priced entry;

@@ -27,10 +27,11 @@ int64_t median_gap(const std::vector<int64_t>& t_ns) {
 
 }  // namespace
 
-EnergyCurve::EnergyCurve(const Channel& channel, const SampleSeries& series) {
+EnergyCurve::EnergyCurve(const Channel& channel, const SampleSeries& series,
+                         std::span<const Sleep> sleeps) {
   const std::string_view si = unit_info(channel.unit).si;
   if (channel.quantity == Quantity::energy && channel.kind == Kind::cumulative && si == "J")
-    read_counter(channel, series);
+    read_counter(channel, series, sleeps);
   else if (channel.quantity == Quantity::power && channel.kind != Kind::cumulative && si == "W")
     read_power(channel, series);
   else
@@ -48,27 +49,24 @@ EnergyCurve::EnergyCurve(const Channel& channel, const SampleSeries& series) {
   if (update_ns_ == 0) update_ns_ = median_gap(t_ns_);
 }
 
-void EnergyCurve::read_counter(const Channel& channel, const SampleSeries& series) {
+void EnergyCurve::read_counter(const Channel& channel, const SampleSeries& series,
+                               std::span<const Sleep> sleeps) {
   const SampleSeries readings = tidy(series);
   const double factor = unit_info(channel.unit).to_si;
-  const Unwrapped total = unwrap(channel, readings);
-  auto next_reset = total.resets.begin();
-  auto next_gap = total.gaps.begin();
+  const Unwrapped total = unwrap(channel, readings, sleeps);
+  const std::vector<std::size_t> unknown = total.unknown();
+  std::size_t unknown_until = 0;
   for (std::size_t i = 1; i < readings.value.size(); ++i) {
-    bool broken = false;
-    for (auto [next, end] :
-         {std::pair(&next_reset, total.resets.end()), std::pair(&next_gap, total.gaps.end())})
-      if (*next != end && **next == i) {
-        broken = true;
-        ++*next;
-      }
-    if (broken) ++break_count_;
+    const bool broken = unknown_until < unknown.size() && unknown[unknown_until] == i;
+    // A broken value takes two steps, and a sleep may lie in any of several: that is one break.
+    if (broken && (unknown_until == 0 || unknown[unknown_until - 1] != i - 1)) ++break_count_;
+    if (broken) ++unknown_until;
     if (readings.value[i] == readings.value[i - 1] && !broken) continue;
     // It moved at some time since the reading before: half way is right on average.
     t_ns_.push_back(std::midpoint(readings.t_ns[i - 1], readings.t_ns[i]));
     blur_ns_.push_back(readings.t_ns[i] - t_ns_.back());
     joules_.push_back(total.value[i] * factor);
-    breaks_until_.push_back(break_count_);
+    breaks_until_.push_back(unknown_until);
   }
 }
 

@@ -4,9 +4,11 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
+#include "analysis/series.h"
 #include "core/record.h"
 
 namespace energyprof::analysis {
@@ -27,7 +29,8 @@ class EnergyCurve {
  public:
   /// `channel` counts energy, or measures power, which is then integrated. If nothing can be made
   /// of it, problem() says why.
-  EnergyCurve(const Channel& channel, const SampleSeries& series);
+  EnergyCurve(const Channel& channel, const SampleSeries& series,
+              std::span<const Sleep> sleeps = {});
 
   [[nodiscard]] const std::string& problem() const { return problem_; }
   /// Median time between two updates of the sensor.
@@ -35,7 +38,7 @@ class EnergyCurve {
   [[nodiscard]] int64_t begin_ns() const { return t_ns_.front(); }
   [[nodiscard]] int64_t end_ns() const { return t_ns_.back(); }
   /// Falls and leaps that are no energy: resets, broken reads, gaps in which the counter may have
-  /// wrapped unseen.
+  /// wrapped unseen, sleeps of the machine.
   [[nodiscard]] std::size_t break_count() const { return break_count_; }
 
   /// nullopt where the curve does not reach, or where it is broken in between.
@@ -52,7 +55,8 @@ class EnergyCurve {
   }
 
  private:
-  void read_counter(const Channel& channel, const SampleSeries& series);
+  void read_counter(const Channel& channel, const SampleSeries& series,
+                    std::span<const Sleep> sleeps);
   void read_power(const Channel& channel, const SampleSeries& series);
 
   std::vector<int64_t> t_ns_;

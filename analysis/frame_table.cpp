@@ -45,7 +45,8 @@ std::vector<TimedFrame> timed_frames(const RunRecord& run, std::span<const Cell>
   return frames;
 }
 
-ChannelTrack::ChannelTrack(const Channel& channel, const SampleSeries& series)
+ChannelTrack::ChannelTrack(const Channel& channel, const SampleSeries& series,
+                           std::span<const Sleep> sleeps)
     : kind_(channel.kind) {
   SampleSeries tidied = tidy(series);
   t_ns_ = tidied.t_ns;
@@ -59,7 +60,7 @@ ChannelTrack::ChannelTrack(const Channel& channel, const SampleSeries& series)
   resolution_ns_ = poll_ns_;
 
   if (kind_ == Kind::cumulative) {
-    value_ = unwrap(channel, tidied).value;
+    value_ = unwrap(channel, tidied, sleeps).value;
     std::vector<int64_t> updates;
     std::optional<int64_t> last_ns;
     for (std::size_t i = 1; i < value_.size(); ++i) {

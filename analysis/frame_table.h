@@ -8,6 +8,7 @@
 #include <span>
 #include <vector>
 
+#include "analysis/series.h"
 #include "core/record.h"
 
 namespace energyprof::analysis {
@@ -35,10 +36,12 @@ inline constexpr int64_t stale_after_polls = 3;
 /// channels whose unit is not known stay as they are.
 ///
 /// Samples may come in any order, twice, or be no numbers: they are sorted, of several at one time
-/// the last counts, and what is not finite is left out.
+/// the last counts, and what is not finite is left out. What a counter did in `sleeps` counts as
+/// nothing.
 class ChannelTrack {
  public:
-  ChannelTrack(const Channel& channel, const SampleSeries& series);
+  ChannelTrack(const Channel& channel, const SampleSeries& series,
+               std::span<const Sleep> sleeps = {});
 
   /// Gauges, averages and flags: the mean over [begin_ns, end_ns), weighted by time, each reading
   /// standing until the next one, but for no longer than stale_after_polls; a flag is 0 or 1.

@@ -50,7 +50,7 @@ ChannelSignal signal_of(const RunRecord& run, const Channel& channel,
     signal.unusable = "it delivered no sample";
     return signal;
   }
-  const ChannelTrack track(channel, series->second);
+  const ChannelTrack track(channel, series->second, sleeps_of(run));
   if (track.empty()) {
     signal.unusable = "none of its samples is a number";
     return signal;

@@ -365,13 +365,14 @@ struct Drawn {
   std::string note;   // how it was derived; may be empty
 };
 
-std::optional<Drawn> draw(const Channel& channel, const SampleSeries& series) {
+std::optional<Drawn> draw(const Channel& channel, const SampleSeries& series,
+                          std::span<const Sleep> sleeps) {
   Drawn drawn;
   drawn.title = to_string(channel.quantity);
   std::replace(drawn.title.begin(), drawn.title.end(), '_', ' ');
   std::string si(unit_info(channel.unit).si);
   if (channel.kind == Kind::cumulative) {
-    auto curve = rate(channel, series);
+    auto curve = rate(channel, series, sleeps);
     if (!curve) return std::nullopt;
     drawn.curve = std::move(*curve);
     si = drawn.curve.unit;
@@ -411,13 +412,14 @@ std::pair<json, json> sensor_tracks(const RunRecord& run, const Analysis& analys
   std::map<std::tuple<Quantity, std::string, std::string>, json> tracks;
   json constant = json::array();
   json too_short = json::array();
+  const std::vector<Sleep> sleeps = sleeps_of(run);
   for (const SensorSummary& sensor : analysis.sensors) {
     if (sensor.sample_count == 0) continue;
     if (sensor.update_count == 0) {
       constant.push_back(sensor.channel.name);
       continue;
     }
-    const auto drawn = draw(sensor.channel, run.series.at(sensor.channel.id));
+    const auto drawn = draw(sensor.channel, run.series.at(sensor.channel.id), sleeps);
     if (!drawn) {
       too_short.push_back(sensor.channel.name);
       continue;

@@ -70,17 +70,19 @@ std::optional<OnOffDifference> estimate(const std::vector<double>& differences) 
 /// A counter of energy that can be read off at any time between two samples.
 class EnergyCurve {
  public:
-  EnergyCurve(const Channel& channel, const SampleSeries& series)
-      : series_(series), total_(unwrap(channel, series)), to_j_(unit_info(channel.unit).to_si) {}
+  EnergyCurve(const Channel& channel, const SampleSeries& series, std::span<const Sleep> sleeps)
+      : series_(series),
+        total_(unwrap(channel, series, sleeps)),
+        unknown_(total_.unknown()),
+        to_j_(unit_info(channel.unit).to_si) {}
 
   /// Mean watts over the block; nullopt where it is not covered, or reaches over a reset.
   [[nodiscard]] std::optional<double> power_w(const Block& block) const {
     const auto begin = place(block.begin_ns);
     const auto end = place(block.end_ns);
     if (!begin || !end) return std::nullopt;
-    for (const auto* unknown : {&total_.resets, &total_.gaps})
-      for (const std::size_t i : *unknown)
-        if (i >= begin->after && i <= end->after) return std::nullopt;
+    for (const std::size_t i : unknown_)
+      if (i >= begin->after && i <= end->after) return std::nullopt;
     return (end->value - begin->value) * to_j_ /
            (static_cast<double>(block.end_ns - block.begin_ns) * 1e-9);
   }
@@ -102,6 +104,7 @@ class EnergyCurve {
 
   const SampleSeries& series_;
   Unwrapped total_;
+  std::vector<std::size_t> unknown_;
   double to_j_;
 };
 
@@ -128,7 +131,8 @@ std::optional<SelfCheck> self_check(const RunRecord& run,
   if (blocks.empty()) return std::nullopt;
   const SensorSummary* counter = energy_counter(sensors);
   std::optional<EnergyCurve> energy;
-  if (counter != nullptr) energy.emplace(counter->channel, run.series.at(counter->channel.id));
+  if (counter != nullptr)
+    energy.emplace(counter->channel, run.series.at(counter->channel.id), sleeps_of(run));
 
   SelfCheck result;
   std::vector<double> percents;

@@ -34,6 +34,7 @@ struct Context {
   std::set<int32_t> gone;
   std::vector<Stretch> frames;
   std::vector<Stretch> sampler_off;
+  std::vector<Sleep> sleeps;
   std::vector<Stretch> idle;  // nothing that wakes a GPU is sampled then
   bool on_gpu = false;
 };
@@ -41,6 +42,7 @@ struct Context {
 Context gather(const RunRecord& run, bool on_gpu) {
   Context context;
   context.on_gpu = on_gpu;
+  context.sleeps = sleeps_of(run);
   for (const Event& event : run.events) {
     if (event.kind == "sensor-gone" && event.channel_id) context.gone.insert(*event.channel_id);
     if (!event.end_ns) continue;
@@ -112,14 +114,13 @@ void find_silences(const SampleSeries& series, const Context& context, int64_t l
   }
 }
 
-void add_counter_numbers(const SampleSeries& series, SensorSummary& sensor,
+void add_counter_numbers(const SampleSeries& series, const Context& context, SensorSummary& sensor,
                          std::vector<std::string>& warnings) {
   const Channel& channel = sensor.channel;
-  const Unwrapped total = unwrap(channel, series);
+  const Unwrapped total = unwrap(channel, series, context.sleeps);
   sensor.increase = total.value.back();
   int64_t known_ns = series.t_ns.back() - series.t_ns.front();
-  for (const auto* unknown : {&total.resets, &total.gaps})
-    for (const std::size_t i : *unknown) known_ns -= series.t_ns[i] - series.t_ns[i - 1];
+  for (const std::size_t i : total.unknown()) known_ns -= series.t_ns[i] - series.t_ns[i - 1];
   if (known_ns > 0 && sensor.update_count > 0)
     sensor.mean_rate =
         *sensor.increase * unit_info(channel.unit).to_si / (static_cast<double>(known_ns) * 1e-9);
@@ -172,7 +173,7 @@ SensorSummary summarize(const Channel& channel, const SampleSeries* series,
     sensor.median = median(series->value);
     sensor.max = *high;
     if (channel.kind == Kind::cumulative) {
-      if (sensor.sample_count > 1) add_counter_numbers(*series, sensor, warnings);
+      if (sensor.sample_count > 1) add_counter_numbers(*series, context, sensor, warnings);
     } else {
       sensor.mean = time_mean(*series, longest_ns, [](double value) { return value; });
     }
@@ -227,6 +228,10 @@ std::vector<SensorSummary> summarize_sensors(const RunRecord& run, bool on_gpu,
     sensors.push_back(summarize(channel, find_or_null(run.series, channel.id),
                                 find_or_null(run.wide_reads, channel.id), context, warnings));
   warn_about_silences(sensors, warnings);
+  if (!context.sleeps.empty())
+    warnings.push_back(
+        fmt::format("The machine slept {}. What counters did meanwhile counts as nothing.",
+                    counted(context.sleeps.size(), "time")));
   return sensors;
 }
 

@@ -37,6 +37,13 @@ std::string stored_unit(const Channel& channel) {
   return channel.unit_text.empty() ? std::string(unit_info(channel.unit).name) : channel.unit_text;
 }
 
+std::vector<Sleep> sleeps_of(const RunRecord& run) {
+  std::vector<Sleep> sleeps;
+  for (const Event& event : run.events)
+    if (event.kind == "suspend") sleeps.push_back({event.t_ns, event.end_ns.value_or(event.t_ns)});
+  return sleeps;
+}
+
 Cadence cadence(const SampleSeries& series) {
   Cadence result;
   std::vector<int64_t> polls;
@@ -68,7 +75,8 @@ namespace {
 /// What a counter did from one sample to the next, and whether it can be believed.
 class Steps {
  public:
-  Steps(const Channel& channel, const SampleSeries& series) : series_(series) {
+  Steps(const Channel& channel, const SampleSeries& series, std::span<const Sleep> sleeps)
+      : series_(series), sleeps_(sleeps) {
     if (channel.wrap_at) span_ = static_cast<double>(*channel.wrap_at) + 1;
     if (const auto rate = fastest_rate(channel.unit))
       fastest_per_ns_ = *rate / unit_info(channel.unit).to_si * 1e-9;
@@ -90,6 +98,11 @@ class Steps {
   }
   [[nodiscard]] bool is_gap(std::size_t i) const {
     return longest_gap_ns_ && static_cast<double>(gap_ns(i)) > *longest_gap_ns_;
+  }
+  [[nodiscard]] bool may_have_slept(std::size_t i) const {
+    return std::any_of(sleeps_.begin(), sleeps_.end(), [&](const Sleep& sleep) {
+      return sleep.begin_ns < series_.t_ns[i] && sleep.end_ns >= series_.t_ns[i - 1];
+    });
   }
 
  private:
@@ -114,6 +127,7 @@ class Steps {
   }
 
   const SampleSeries& series_;
+  std::span<const Sleep> sleeps_;
   std::optional<double> span_;  // values that the counter can have
   std::optional<double> fastest_per_ns_;
   int64_t update_ns_ = 0;
@@ -122,37 +136,45 @@ class Steps {
 
 }  // namespace
 
-Unwrapped unwrap(const Channel& channel, const SampleSeries& series) {
+std::vector<std::size_t> Unwrapped::unknown() const {
+  std::vector<std::size_t> all;
+  for (const auto* some : {&resets, &gaps, &sleeps})
+    all.insert(all.end(), some->begin(), some->end());
+  std::sort(all.begin(), all.end());
+  return all;
+}
+
+Unwrapped unwrap(const Channel& channel, const SampleSeries& series,
+                 std::span<const Sleep> sleeps) {
   Unwrapped result;
   if (series.value.empty()) return result;
-  const Steps steps(channel, series);
+  const Steps steps(channel, series, sleeps);
   result.value.reserve(series.value.size());
   result.value.push_back(0);
   int64_t changed_ns = series.t_ns.front();
   for (std::size_t i = 1; i < series.value.size(); ++i) {
     const auto step = steps.increase(i, changed_ns);
-    if (!step)
-      result.resets.push_back(i);
-    else if (steps.is_gap(i))
-      result.gaps.push_back(i);
-    const bool known = step && !steps.is_gap(i);
-    result.value.push_back(result.value.back() + (known ? *step : 0.0));
+    std::vector<std::size_t>* const unknown = steps.may_have_slept(i) ? &result.sleeps
+                                              : !step                 ? &result.resets
+                                              : steps.is_gap(i)       ? &result.gaps
+                                                                      : nullptr;
+    if (unknown != nullptr) unknown->push_back(i);
+    result.value.push_back(result.value.back() + (unknown == nullptr ? *step : 0.0));
     if (series.value[i] != series.value[i - 1]) changed_ns = series.t_ns[i];
   }
   return result;
 }
 
-std::optional<Curve> rate(const Channel& channel, const SampleSeries& series) {
+std::optional<Curve> rate(const Channel& channel, const SampleSeries& series,
+                          std::span<const Sleep> sleeps) {
   const Cadence pace = cadence(series);
   if (!pace.poll_ns) return std::nullopt;
   const int64_t update_ns = std::min(pace.update_ns.value_or(*pace.poll_ns), 100 * ns_per_ms);
   const int64_t window_ns = 20 * std::max({*pace.poll_ns, update_ns, int64_t{1}});
   const double factor = unit_info(channel.unit).to_si;
-  const Unwrapped unwrapped = unwrap(channel, series);
+  const Unwrapped unwrapped = unwrap(channel, series, sleeps);
   const std::vector<double>& total = unwrapped.value;
-  std::vector<std::size_t> breaks;
-  std::merge(unwrapped.resets.begin(), unwrapped.resets.end(), unwrapped.gaps.begin(),
-             unwrapped.gaps.end(), std::back_inserter(breaks));
+  const std::vector<std::size_t> breaks = unwrapped.unknown();
 
   Curve curve;
   curve.unit = per_second(channel);

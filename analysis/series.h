@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -13,6 +14,16 @@ namespace energyprof::analysis {
 
 /// The unit of `channel` as stored, also when this version has no name for it.
 std::string stored_unit(const Channel& channel);
+
+/// The machine slept at some time within it: the clock of the run stood still, a counter may not
+/// have, or may have started anew.
+struct Sleep {
+  int64_t begin_ns = 0;
+  int64_t end_ns = 0;
+};
+
+/// What the run's events tell of it, by time.
+std::vector<Sleep> sleeps_of(const RunRecord& run);
 
 /// A cumulative channel that only rises.
 struct Unwrapped {
@@ -25,6 +36,12 @@ struct Unwrapped {
   /// than once: longer than half of what it takes to wrap at the series' own mean rate. The
   /// increase is unknown and counts as none.
   std::vector<std::size_t> gaps;
+  /// Indices of other samples before which the machine may have slept. The increase belongs to no
+  /// time of this clock and counts as none.
+  std::vector<std::size_t> sleeps;
+
+  /// All of these: samples up to which the increase is unknown, rising.
+  [[nodiscard]] std::vector<std::size_t> unknown() const;
 };
 
 /// The fastest that a counter with this unit can be believed to rise, in SI units per second: 2 kW,
@@ -36,7 +53,8 @@ std::optional<double> fastest_rate(Unit unit);
 /// A step is believed if its rate is possible. The rate is taken over the time since the value last
 /// changed and one update more, for a sensor that moves rarely may move at once after it was seen
 /// to move.
-Unwrapped unwrap(const Channel& channel, const SampleSeries& series);
+Unwrapped unwrap(const Channel& channel, const SampleSeries& series,
+                 std::span<const Sleep> sleeps = {});
 
 /// How the values of a series came.
 struct Cadence {
@@ -56,9 +74,10 @@ struct Curve {
 /// The mean rate of a cumulative channel, in SI per second (watts for an energy counter), over
 /// consecutive windows; each value stands at the end of its window. A window spans at least 20
 /// polls and 20 updates of the sensor (updates slower than 100 ms count as 100 ms), so that the two
-/// updates its ends may be off by are at most a tenth of it. No window reaches over a reset or gap
-/// of unwrap(). nullopt when the series is too short for one.
-std::optional<Curve> rate(const Channel& channel, const SampleSeries& series);
+/// updates its ends may be off by are at most a tenth of it. No window reaches over what unwrap()
+/// does not know. nullopt when the series is too short for one.
+std::optional<Curve> rate(const Channel& channel, const SampleSeries& series,
+                          std::span<const Sleep> sleeps = {});
 
 /// Which points to keep of a curve, in time order, so that at most `max_count` (at least 2) are
 /// left: of each of max_count / 2 equal stretches of time the lowest and the highest. All of a

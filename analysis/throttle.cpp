@@ -429,7 +429,7 @@ std::optional<ChannelTrack> nearest_track(const RunRecord& run, const std::strin
     }
   }
   if (best == nullptr) return std::nullopt;
-  return ChannelTrack(*best, *series_of(run, *best));
+  return ChannelTrack(*best, *series_of(run, *best), sleeps_of(run));
 }
 
 /// What a limit is compared with, and the limit.
@@ -797,7 +797,7 @@ Throttling find_throttling(const RunRecord& run, std::span<const TimedFrame> fra
     source.quota = is_quota(channel);
     // How often the quota stopped the group says less than for how long.
     if (source.quota && has_quota_time && unit_info(channel.unit).si != "s") continue;
-    const ChannelTrack track(channel, *series);
+    const ChannelTrack track(channel, *series, sleeps_of(run));
     if (track.empty()) continue;
     source.poll_ns = track.poll_ns();
     if (channel.kind == Kind::cumulative) {

@@ -395,14 +395,14 @@ void write_frames(const RunRecord& run, const Analysis* analysis, Budget& budget
   }
 }
 
-void write_channel(const Channel& channel, const SampleSeries& series, const Budget& budget,
-                   bool full, Writer& writer) {
+void write_channel(const Channel& channel, const SampleSeries& series,
+                   std::span<const Sleep> sleeps, const Budget& budget, bool full, Writer& writer) {
   const int pid = pid_of(channel.quantity);
   Curve curve{series.t_ns, series.value, stored_unit(channel)};
   if (!full) curve = thin(changes_only(curve), budget.points);
   writer.counters(pid, fmt::format("{} [{}]", channel.name, curve.unit), curve);
   if (channel.quantity != Quantity::energy || channel.kind != Kind::cumulative) return;
-  auto power = rate(channel, series);
+  auto power = rate(channel, series, sleeps);
   if (!power) return;
   if (!full) *power = thin(*power, budget.points);
   writer.counters(pid, fmt::format("{} as power [{}]", channel.name, power->unit), *power);
@@ -410,6 +410,7 @@ void write_channel(const Channel& channel, const SampleSeries& series, const Bud
 
 void write_channels(const RunRecord& run, const Budget& budget, bool full, Writer& writer) {
   std::set<Quantity> named;
+  const std::vector<Sleep> sleeps = sleeps_of(run);
   for (const Channel& channel : run.channels) {
     const auto series = run.series.find(channel.id);
     if (series == run.series.end()) continue;
@@ -417,7 +418,7 @@ void write_channels(const RunRecord& run, const Budget& budget, bool full, Write
       const int pid = pid_of(channel.quantity);
       writer.name_process(pid, fmt::format("sensors: {}", to_string(channel.quantity)), pid);
     }
-    write_channel(channel, series->second, budget, full, writer);
+    write_channel(channel, series->second, sleeps, budget, full, writer);
   }
 }
 

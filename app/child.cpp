@@ -14,7 +14,7 @@ namespace energyprof::app {
 namespace {
 
 constexpr std::array end_signals{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
-constexpr std::array other_signals{SIGUSR1, SIGUSR2, SIGCONT, SIGWINCH};
+constexpr std::array other_signals{SIGUSR1, SIGUSR2, SIGTSTP, SIGCONT, SIGWINCH};
 
 [[noreturn]] void fail(const char* what) {
   throw std::system_error(errno, std::generic_category(), what);
@@ -87,7 +87,13 @@ ChildEnd Child::wait() {
     const int signal = sigwaitinfo(&signals_.held_, &info);
     if (signal == SIGCHLD) {
       int status = 0;
-      if (waitpid(pid_, &status, WNOHANG) != pid_) continue;
+      if (waitpid(pid_, &status, WNOHANG | WUNTRACED) != pid_) continue;
+      if (WIFSTOPPED(status)) {
+        // The shell waits for us to stop. Other signals stop a program for somebody who means to
+        // let it go on without us, or have stopped us as well.
+        if (WSTOPSIG(status) == SIGTSTP) raise(SIGSTOP);
+        continue;
+      }
       if (WIFSIGNALED(status)) return {128 + WTERMSIG(status), WTERMSIG(status)};
       return {WEXITSTATUS(status), std::nullopt};
     }

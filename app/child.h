@@ -51,7 +51,8 @@ class Child {
   Child& operator=(const Child&) = delete;
 
   /// Waits for its end. Signals that someone sent to us are sent on; those of the terminal, which
-  /// its whole process group gets, and those it sent itself are not.
+  /// its whole process group gets, and those it sent itself are not. Where SIGTSTP stops it, we
+  /// stop too.
   ChildEnd wait();
 
  private:

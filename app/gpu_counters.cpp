@@ -3,10 +3,23 @@
 #include <fmt/format.h>
 
 #include <set>
+#include <utility>
 
 #include "probe/names.h"
 
 namespace energyprof::app {
+
+std::string counters_fix(const probe::Root& root, const kernels::DeviceInfo& info) {
+  constexpr uint32_t intel = 0x8086;
+  if (info.vendor_id != intel || !info.performance_counters.empty()) return {};
+  std::string command;
+  for (const auto& [file, key] :
+       {std::pair{"proc/sys/dev/i915/perf_stream_paranoid", "dev.i915.perf_stream_paranoid"},
+        std::pair{"proc/sys/dev/xe/observation_paranoid", "dev.xe.observation_paranoid"}})
+    if (root.read_line(file).value_or("0") != "0")
+      command += fmt::format("{} {}=0", command.empty() ? "sudo sysctl" : "", key);
+  return command;
+}
 
 std::vector<Channel> counter_channels(const kernels::DeviceInfo& info, int32_t first_id) {
   std::vector<Channel> channels;

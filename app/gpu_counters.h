@@ -1,13 +1,19 @@
 /// The GPU's own counters as channels of a run.
 #pragma once
 
+#include <string>
 #include <vector>
 
 #include "core/record.h"
 #include "kernels/device.h"
 #include "kernels/runner.h"
+#include "probe/root.h"
 
 namespace energyprof::app {
+
+/// The command after which the kernel lets everybody look into an Intel GPU; empty where its driver
+/// offers counters, or where this would not help.
+std::string counters_fix(const probe::Root& root, const kernels::DeviceInfo& info);
 
 /// A channel "vkperf.<name>" for each chosen counter of the device, ids from `first_id` on. They
 /// have one sample for each counted pass; nothing polls them: their period is 0.

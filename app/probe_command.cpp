@@ -8,9 +8,11 @@
 #include <map>
 #include <nlohmann/json.hpp>
 #include <tuple>
+#include <utility>
 
 #include "analysis/format.h"
 #include "app/commands.h"
+#include "app/gpu_counters.h"
 #include "app/sensors.h"
 #include "core/run_db.h"
 #include "kernels/device.h"
@@ -64,11 +66,12 @@ json counters_json(const kernels::DeviceInfo& info) {
 }
 
 /// The Vulkan devices, or why there are none.
-json devices_json() {
+json devices_json(const probe::Root& root) {
   json devices = json::array();
   try {
     const kernels::DeviceList list = kernels::list_devices();
-    for (const kernels::DeviceInfo& info : list.usable)
+    for (const kernels::DeviceInfo& info : list.usable) {
+      const std::string fix = counters_fix(root, info);
       devices.push_back(
           {{"name", info.name},
            {"type", info.type},
@@ -76,7 +79,9 @@ json devices_json() {
            {"performance_counters", counters_json(info)},
            {"no_counters_reason",
             info.no_counters_reason.empty() ? json(nullptr) : json(info.no_counters_reason)},
+           {"no_counters_fix", fix.empty() ? json(nullptr) : json(fix)},
            {"refused", nullptr}});
+    }
     for (const kernels::DeviceRefusal& refusal : list.unusable)
       devices.push_back({{"name", refusal.name}, {"refused", refusal.reason}});
   } catch (const std::runtime_error& error) {
@@ -121,7 +126,7 @@ void print_json(const probe::Root& root, const probe::Discovery& discovery,
               {"channels", channels},
               {"missing", missing_json(discovery.missing)}};
   if (root.is_host()) {
-    output["devices"] = devices_json();
+    output["devices"] = devices_json(root);
   } else {
     output["root"] = root.directory();
     output["devices"] = json::array();
@@ -271,10 +276,26 @@ void print_table(const std::vector<ProbedChannel>& probed, bool all) {
   if (probed.empty()) fmt::print("Nothing can be sensed here.\n");
 }
 
+/// Whose reads wake a sleeping GPU, and may just have.
+void print_wakers(const std::vector<ProbedChannel>& probed) {
+  std::map<std::pair<std::string, std::string>, std::size_t> wakers;  // source, GPU -> channels
+  for (const ProbedChannel& one : probed)
+    if (one.channel->wakes_device) ++wakers[{one.channel->source, one.channel->gpu}];
+  if (wakers.empty()) return;
+  std::string text;
+  for (const auto& [who, channel_count] : wakers)
+    text += fmt::format("{}{} channels of {} of {}", text.empty() ? "" : ", ", channel_count,
+                        who.first, who.second);
+  fmt::print("\n{}\n",
+             wrapped(text + ": to read them may wake that GPU, also now; they are left alone while "
+                            "a run idles",
+                     0));
+}
+
 void print_devices(const probe::Root& root) {
   fmt::print("\nVulkan devices\n");
   if (!root.is_host()) return fmt::print("  {}\n", no_devices_reason);
-  for (const json& device : devices_json()) {
+  for (const json& device : devices_json(root)) {
     const std::string name = device["name"].is_null() ? "none" : device["name"].get<std::string>();
     if (!device["refused"].is_null()) {
       fmt::print("  {}\n",
@@ -288,6 +309,8 @@ void print_devices(const probe::Root& root) {
       fmt::print(
           "    {}\n",
           wrapped("no counters of its own: " + device["no_counters_reason"].get<std::string>(), 4));
+      if (!device["no_counters_fix"].is_null())
+        fmt::print("    fix: {}\n", device["no_counters_fix"].get<std::string>());
       continue;
     }
     std::string names;
@@ -306,6 +329,7 @@ void print_text(const probe::Root& root, const probe::Discovery& discovery,
   if (!root.is_host())
     fmt::print("Simulated: what '{}' tells, not this machine.\n\n", root.directory());
   print_table(probed, all);
+  print_wakers(probed);
   if (!discovery.missing.empty()) fmt::print("\nnot seen\n");
   for (const probe::Missing& m : discovery.missing) {
     fmt::print("  {} {}\n", padded(m.source, 16), wrapped(m.reason, 19));

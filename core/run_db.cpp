@@ -543,7 +543,7 @@ void read_samples(Database& db, RunRecord& run) {
     const double value = s.real(2);
     if (!std::isfinite(value)) {
       Infinite& channel =
-          infinite.try_emplace(static_cast<int32_t>(id), s.integer(1)).first->second;
+          infinite.try_emplace(static_cast<int32_t>(id), Infinite{s.integer(1)}).first->second;
       ++channel.count;
       continue;
     }

@@ -16,7 +16,9 @@
 #include <array>
 #include <cerrno>
 #include <charconv>
+#include <chrono>
 #include <set>
+#include <thread>
 #include <utility>
 
 #include "core/clock.h"
@@ -248,11 +250,23 @@ void miss_unreadable(const Card& card, const TextFile& file, int error) {
     card.miss(fmt::format("cannot read '{}': {}", file.path(), errno_text(error)));
 }
 
+// What the table has to say shows only in a table: while the firmware is busy it is asked again.
+TextFile::Read read_patiently(TextFile& file, Page& page) {
+  constexpr auto pause = std::chrono::milliseconds(5);
+  constexpr int most_tries = 20;
+  TextFile::Read read = file.read(page);
+  for (int tries = 1; is_transient(read.error) && tries < most_tries; ++tries) {
+    std::this_thread::sleep_for(pause);
+    read = file.read(page);
+  }
+  return read;
+}
+
 // Adds the table's channels. Returns their names without the card's prefix.
 std::set<std::string_view> discover_metrics(const Card& card) {
   TextFile file(card.root, card.device + "/gpu_metrics");
   Page page;
-  const TextFile::Read read = file.read(page);
+  const TextFile::Read read = read_patiently(file, page);
   if (read.error == ENOENT) {
     card.miss(
         fmt::format("'{}' is not there: the driver of this GPU tells neither throttling nor "

@@ -16,6 +16,7 @@
 
 #include "core/clock.h"
 #include "probe/drm_card.h"
+#include "probe/perf_pmu.h"
 #include "probe/text_file.h"
 
 namespace energyprof::probe {
@@ -290,7 +291,7 @@ void discover_intel(const Root& root, Gathering& gathering, Registers& registers
 
 // Reads the registers as root, of the same tree.
 std::string command_as_root(const Root& root) {
-  std::string command = "sudo energyprof probe --allow-msr";
+  std::string command = fmt::format("sudo {} probe --allow-msr", running_program());
   if (!root.is_host()) command += fmt::format(" --root '{}'", root.directory());
   return command;
 }

@@ -49,21 +49,29 @@ constexpr int64_t dearest_switch_ns = 5 * ns_per_us;
 // A channel's counters, one for each processor where those are counted and not threads.
 using Counters = std::vector<Counter>;
 
-// In front the hardware events, if there are any, and behind all the share of the time in which the
-// first of them was counted.
+// An event on one kind of core; with the same number, on the others.
+struct Counted {
+  size_t event = 0;
+  Counters counters;
+};
+
+// Behind hardware events, the share of the time in which they were counted.
 class PerfSource final : public SensorSource {
  public:
-  PerfSource(int64_t period_ns, std::vector<Channel> channels, std::vector<Counters> events,
-             bool are_hardware)
+  PerfSource(int64_t period_ns, std::vector<Channel> channels, std::vector<Counted> events,
+             bool are_hardware, bool of_processors)
       : SensorSource("perf", period_ns, std::move(channels)),
         events_(std::move(events)),
-        are_hardware_(are_hardware) {}
+        last_(events_.size()),
+        since_last_(events_.size()),
+        are_hardware_(are_hardware),
+        of_processors_(of_processors) {}
 
   void poll(std::span<Reading> out) noexcept override {
     for (size_t i = 0; i < events_.size(); ++i) {
       const int64_t before_ns = now_ns();
       Counter::Count sum;
-      for (const Counter& counter : events_[i]) {
+      for (const Counter& counter : events_[i].counters) {
         const Counter::Count count = counter.read();
         sum.value += count.value;
         sum.enabled_ns += count.enabled_ns;
@@ -73,27 +81,29 @@ class PerfSource final : public SensorSource {
       const int64_t width_ns = now_ns() - before_ns;
       out[i] = {status_of(sum.error), before_ns + width_ns / 2, static_cast<int64_t>(sum.value),
                 width_ns, sum.error};
-      if (i == 0 && are_hardware_) out.back() = running_ratio(sum, out[0]);
+      since_last_[i] = {events_[i].event};
+      if (sum.error != 0) continue;
+      since_last_[i].enabled_ns = sum.enabled_ns - last_[i].enabled_ns;
+      since_last_[i].running_ns = sum.running_ns - last_[i].running_ns;
+      last_[i] = sum;
     }
+    if (are_hardware_) out.back() = running_ratio(out.front());
   }
 
  private:
-  Reading running_ratio(const Counter::Count& count, Reading reading) noexcept {
-    const uint64_t enabled_ns = count.enabled_ns - last_.enabled_ns;
-    const uint64_t running_ns = count.running_ns - last_.running_ns;
-    if (reading.status != PollStatus::ok) return reading;
-    last_ = count;
-    if (enabled_ns == 0)
-      reading.status = PollStatus::retry;  // nothing ran
-    else
-      reading.value = static_cast<int64_t>(static_cast<double>(running_ns) * 1e6 /
-                                           static_cast<double>(enabled_ns));
-    return reading;
+  // At the time of `first`.
+  Reading running_ratio(Reading first) const noexcept {
+    const auto ppm = lowest_running_ppm(since_last_, of_processors_);
+    first.value = ppm.value_or(0);
+    if (first.status == PollStatus::ok && !ppm) first.status = PollStatus::retry;  // nothing ran
+    return first;
   }
 
-  std::vector<Counters> events_;
+  std::vector<Counted> events_;
+  std::vector<Counter::Count> last_;
+  std::vector<CountedTime> since_last_;
   bool are_hardware_;
-  Counter::Count last_;
+  bool of_processors_;
 };
 
 // Opens events one by one and gathers what came of it.
@@ -139,7 +149,9 @@ class Opening {
     if (!cpus_.empty()) channel.origin += ", of everything that runs";
     if (plan.exclude_kernel) channel.origin += ", user mode only";
     channels_.push_back(std::move(channel));
-    events_.push_back(std::move(opened));
+    if (last_event_ != &event) ++event_count_;
+    last_event_ = &event;
+    events_.push_back({event_count_, std::move(opened)});
     return true;
   }
 
@@ -165,13 +177,13 @@ class Opening {
       ratio.name = "perf.running_ratio";
       ratio.quantity = Quantity::utilization;
       ratio.unit = Unit::ppm;
-      ratio.origin = "time_running / time_enabled of " + channels_.front().origin;
+      ratio.origin = "time_running / time_enabled of the hardware event counted least";
       channels_.push_back(std::move(ratio));
     }
     const int64_t period_ns =
         std::max(perf_period_ns, per_processor_period_ns * static_cast<int64_t>(cpus_.size()));
-    discovery.sources.push_back(std::make_unique<PerfSource>(period_ns, std::move(channels_),
-                                                             std::move(events_), are_hardware));
+    discovery.sources.push_back(std::make_unique<PerfSource>(
+        period_ns, std::move(channels_), std::move(events_), are_hardware, !cpus_.empty()));
   }
 
  private:
@@ -213,7 +225,9 @@ class Opening {
 
   std::vector<int> cpus_;
   std::vector<Channel> channels_;
-  std::vector<Counters> events_;
+  std::vector<Counted> events_;
+  const NamedEvent* last_event_ = nullptr;
+  size_t event_count_ = 0;
   std::map<int, Failure> failures_;  // by errno
   std::vector<Missing> unknown_;
 };

@@ -12,8 +12,8 @@ namespace energyprof::probe {
 ///   for
 ///     each kind of core: perf.cpu_core.llc_misses, perf.cpu_atom.llc_misses
 ///   perf.running_ratio: ppm gauge, the share of the time since the last poll in which the hardware
-///     events were counted; below 1,000,000 they shared counters, and too little was counted.
-///     Counts are recorded as they are, never scaled up.
+///     event that was counted least was counted, on cores of any kind; below 1,000,000 it shared a
+///     counter, and too little was counted. Counts are recorded as they are, never scaled up.
 /// Counted are the calling thread and all threads and processes it starts from then on, so that
 /// discovery belongs before the first of them. Where hardware events of threads would lengthen each
 /// change of thread by more than 5 us (virtual machines), they are counted on all processors

@@ -164,14 +164,13 @@ class CounterSource final : public SensorSource {
   std::vector<Row> rows_;
 };
 
-// The program that runs, as a word of a command: what is found on PATH may be another one.
-std::string running_binary() {
+}  // namespace
+
+std::string running_program() {
   std::error_code error;
   const std::filesystem::path path = std::filesystem::read_symlink("/proc/self/exe", error);
   return error ? "energyprof" : fmt::format("'{}'", path.string());
 }
-
-}  // namespace
 
 std::optional<std::vector<int>> parse_cpu_list(std::string_view text) {
   constexpr size_t most = 4096;
@@ -310,6 +309,24 @@ Counter::Count Counter::read() const noexcept {
   return {0, 0, 0, got < 0 ? errno : ENODEV};
 }
 
+std::optional<int64_t> lowest_running_ppm(std::span<const CountedTime> times, bool of_processors) {
+  std::optional<int64_t> lowest;
+  for (size_t first = 0, end = 0; first < times.size(); first = end) {
+    uint64_t enabled_ns = 0;
+    uint64_t running_ns = 0;
+    for (; end < times.size() && times[end].event == times[first].event; ++end) {
+      running_ns += times[end].running_ns;
+      enabled_ns = of_processors ? enabled_ns + times[end].enabled_ns
+                                 : std::max(enabled_ns, times[end].enabled_ns);
+    }
+    if (enabled_ns == 0) continue;
+    const auto ppm = static_cast<int64_t>(static_cast<double>(running_ns) * 1e6 /
+                                          static_cast<double>(enabled_ns));
+    lowest = std::min(lowest.value_or(ppm), ppm);
+  }
+  return lowest;
+}
+
 bool is_refusal(int error) { return error == EACCES || error == EPERM; }
 
 Missing explain_counters(const Root& root, const std::string& source, const std::string& names,
@@ -321,7 +338,7 @@ Missing explain_counters(const Root& root, const std::string& source, const std:
     missing.reason += fmt::format("; kernel.perf_event_paranoid is {}", level);
     if (parse_int(level).value_or(paranoid + 1) > paranoid) {
       missing.reason += fmt::format(", and this needs {} or less, or CAP_PERFMON", paranoid);
-      missing.fix = "sudo setcap cap_perfmon+ep " + running_binary();
+      missing.fix = "sudo setcap cap_perfmon+ep " + running_program();
     } else {
       missing.reason += ", which allows it: a container's system call filter does not";
       missing.fix = "docker run --cap-add PERFMON ...";

@@ -6,6 +6,7 @@
 #include <array>
 #include <map>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -97,10 +98,24 @@ class Counter {
   int fd_;
 };
 
+/// How long an event was to be counted, and was, since the last look; one for each kind of core.
+struct CountedTime {
+  size_t event = 0;  ///< which one: equal ones stand side by side
+  uint64_t enabled_ns = 0;
+  uint64_t running_ns = 0;
+};
+/// Of the event that was counted least the share of the time, in ppm; nullopt if none was to be
+/// counted. Threads run on one kind of core at a time, so that the times of an event on all kinds
+/// add up to that in which it was to be counted; processors (`of_processors`) have each their own.
+std::optional<int64_t> lowest_running_ppm(std::span<const CountedTime> times, bool of_processors);
+
 /// Opens what was planned and adds a source of it; what cannot be counted is Missing, as
 /// explain_counters() has it.
 void add_counters(const Root& root, Discovery& discovery, const std::string& source,
                   int64_t period_ns, std::vector<ChannelPlan> plans, SourceTraits traits);
+
+/// The program that runs, as a word of a command: what is found on PATH may be another one.
+std::string running_program();
 
 /// Whether the kernel refuses a counter for want of permission.
 bool is_refusal(int error);

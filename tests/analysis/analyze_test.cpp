@@ -395,6 +395,18 @@ TEST(Analyze, WhatTheRecorderKnewOfAStillCounterCounts) {
   EXPECT_EQ(analyze(builder.run).sensors[0].status, never_moved);
 }
 
+TEST(Analyze, SaysThatTheMachineSlept) {
+  RunBuilder builder;
+  builder.add_channel("rapl.package-0.energy", Quantity::energy, Unit::microjoule, Kind::cumulative,
+                      1'000'000, 500, [](std::size_t i) { return 12'000.0 * double(i); });
+  Event sleep;
+  sleep.t_ns = 100'000'000;
+  sleep.end_ns = 200'000'000;
+  sleep.kind = "suspend";
+  builder.run.events.push_back(sleep);
+  EXPECT_THAT(analyze(builder.run).warnings, Contains(HasSubstr("The machine slept 1 time.")));
+}
+
 TEST(Analyze, SensorsHaveMeansOverTime) {
   RunBuilder builder;
   // 12 W, a sensor that moves each ms.

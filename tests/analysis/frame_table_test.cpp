@@ -44,6 +44,14 @@ TEST(FrameTable, AGaugeIsWeightedByTime) {
   EXPECT_NEAR(*track.over(2 * ms + ms / 4, 2 * ms + ms / 2), 100e6, 1) << "between two readings";
 }
 
+TEST(FrameTable, ACountersLeapWhileTheMachineSleptIsNoRate) {
+  const Channel counter = channel(Kind::cumulative, Unit::count);
+  const SampleSeries series{{0, 1 * ms, 2 * ms, 3 * ms, 4 * ms}, {0, 1, 2, 1003, 1004}};
+  EXPECT_GT(*ChannelTrack(counter, series).over(1 * ms, 4 * ms), 100'000);
+  const std::vector<Sleep> sleeps{{2 * ms + ms / 2, 2 * ms + ms / 2}};
+  EXPECT_LE(*ChannelTrack(counter, series, sleeps).over(1 * ms, 4 * ms), 1000);
+}
+
 TEST(FrameTable, AReadingIsStaleAfterThreePolls) {
   const ChannelTrack track(channel(Kind::gauge, Unit::none),
                            {{0, 1 * ms, 2 * ms, 20 * ms, 21 * ms}, {1, 1, 1, 7, 7}});

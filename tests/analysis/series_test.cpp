@@ -119,6 +119,25 @@ TEST(Series, AGapLongEnoughForASecondWrapCountsAsNothing) {
   EXPECT_NEAR(with_silence(6).value.back(), 10e6 * 1.998, 1);
 }
 
+TEST(Series, WhatACounterDidWhileTheMachineSleptCountsAsNothing) {
+  // 10 W, and 60 J of a night between two polls: 1 kW over a step of 60 ms, which could be.
+  SampleSeries series = every(60 * ms, {0, 600, 1200, 61'800, 62'400, 63'000});
+  const Channel channel = counter(Unit::millijoule, std::nullopt);
+  EXPECT_EQ(unwrap(channel, series).value.back(), 63'000);
+  const auto with = [&](std::vector<Sleep> sleeps) { return unwrap(channel, series, sleeps); };
+  const Unwrapped total = with({{130 * ms, 170 * ms}});
+  EXPECT_EQ(total.value, (std::vector<double>{0, 600, 1200, 1200, 1800, 2400}));
+  EXPECT_EQ(total.sleeps, (std::vector<std::size_t>{3}));
+  EXPECT_TRUE(total.resets.empty());
+  // The same in any of several steps; and a counter that starts anew meanwhile is no reset.
+  series.value[3] = 0;
+  EXPECT_EQ(with({{70 * ms, 200 * ms}}).sleeps, (std::vector<std::size_t>{2, 3, 4}));
+  EXPECT_EQ(with({{70 * ms, 200 * ms}}).unknown(), (std::vector<std::size_t>{2, 3, 4}));
+  // At a moment, and elsewhere.
+  EXPECT_EQ(with({{130 * ms, 130 * ms}}).sleeps, (std::vector<std::size_t>{3}));
+  EXPECT_TRUE(with({{-ms, -ms}, {301 * ms, 400 * ms}}).sleeps.empty());
+}
+
 TEST(Series, NoWindowOfARateReachesOverAReset) {
   // 12 W, and a reset in the middle of the second window.
   SampleSeries series;

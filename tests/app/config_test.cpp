@@ -161,7 +161,7 @@ TEST(Config, MistakesAreUsageErrors) {
         "structures.kdtree.empty_bonus=1.5", "structures.kdtree.max_depth=121",
         "structures.kdtree.clip=1", "structures.grid.lambda=0", "structures.octree={}",
         "cache_model.line_bytes=48", "cache_model.l1_kib=0", "structure_cache=1",
-        "idle.before_s=-1"})
+        "idle.before_s=-1", "sampler.sources=[]", "sampler.periods_ms.psi=0"})
     EXPECT_THROW(load_config(shipped("teapot.json"), {setting}), UsageError) << setting;
   EXPECT_THROW(load_config("/no/such/file.json", {}), std::runtime_error);
 }

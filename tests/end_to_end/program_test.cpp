@@ -645,6 +645,15 @@ TEST_F(Program, ProbeFitsAPageAndFoldsCores) {
               HasSubstr("hwmon.coretemp.core_27.temp"));
 }
 
+TEST_F(Program, ProbeSaysWhichReadsWakeAGpu) {
+  const auto probe = [&](const std::string& machine) {
+    return program({"probe", "--root", ENERGYPROF_TEST_DATA "/sysfs/" + machine}).out;
+  };
+  EXPECT_THAT(probe("intel-rplp-i915-laptop"),
+              HasSubstr("10 channels of i915 of 0000:00:02.0: to read them may wake that GPU"));
+  EXPECT_THAT(probe("vm-no-sensors"), Not(HasSubstr("wake")));
+}
+
 // ---------------------------------------------------------------------------- failing devices
 
 Environment fault(const std::string& what) {

@@ -1,8 +1,12 @@
 // `energyprof record` around real programs: it must not be noticed, and must leave a run.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <chrono>
+#include <csignal>
+#include <fstream>
 #include <nlohmann/json.hpp>
 #include <thread>
 
@@ -141,6 +145,44 @@ TEST_F(Record, ForwardsSignalsThatAreSentToItAlone) {
     EXPECT_EQ(process.wait().code, 3) << signal;
     EXPECT_TRUE(fs::exists(dir / "run/report.json")) << signal;
   }
+}
+
+char state_of(const std::string& process) {
+  const std::string stat = read_text("/proc/" + process + "/stat");
+  const size_t name_end = stat.rfind(") ");
+  return name_end == std::string::npos ? '?' : stat[name_end + 2];
+}
+
+TEST_F(Record, StopsAndGoesOnWithItsProgram) {
+  const std::string words = "echo $$ > '" + (dir_ / "id").string() + "'; while [ ! -e '" +
+                            (dir_ / "go").string() + "' ]; do sleep 0.02; done; exit 4";
+  std::vector<std::string> all = command({"sh", "-c", words}, {"--quiet"});
+  std::vector<char*> argv;
+  for (std::string& word : all) argv.push_back(word.data());
+  argv.push_back(nullptr);
+  const pid_t pid = fork();
+  ASSERT_GE(pid, 0);
+  if (pid == 0) {
+    setpgid(0, 0);  // the kernel stops no group that no shell looks after
+    execv(argv[0], argv.data());
+    _exit(127);
+  }
+  std::string program;
+  while (program.empty()) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    if (fs::exists(dir_ / "id")) program = read_text(dir_ / "id");
+    if (!program.empty() && program.back() == '\n') program.pop_back();
+  }
+  kill(pid, SIGTSTP);
+  int status = 0;
+  ASSERT_EQ(waitpid(pid, &status, WUNTRACED), pid);
+  EXPECT_TRUE(WIFSTOPPED(status));
+  EXPECT_EQ(state_of(program), 'T');
+  std::ofstream(dir_ / "go") << "\n";
+  kill(pid, SIGCONT);
+  ASSERT_EQ(waitpid(pid, &status, 0), pid);
+  ASSERT_TRUE(WIFEXITED(status));
+  EXPECT_EQ(WEXITSTATUS(status), 4);
 }
 
 TEST_F(Record, KilledItLeavesARunThatOpens) {

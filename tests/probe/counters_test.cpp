@@ -295,6 +295,20 @@ TEST(MachineCounters, SayWhenTheyCannotBeOpened) {
   EXPECT_THAT(found.missing[0].reason, HasSubstr("'perf nothing/such/', 'perf nothing/such/'"));
 }
 
+TEST(RunningRatio, IsThatOfTheEventCountedLeast) {
+  constexpr uint64_t ms = ns_per_ms;
+  EXPECT_EQ(lowest_running_ppm({}, false), std::nullopt);
+  EXPECT_EQ(lowest_running_ppm(std::vector<CountedTime>{{0, 0, 0}}, false), std::nullopt);
+  const std::vector<CountedTime> shared{{0, 20 * ms, 20 * ms}, {1, 20 * ms, 15 * ms}};
+  EXPECT_EQ(lowest_running_ppm(shared, false), 750'000);
+  // A thread that changes between two kinds of cores is counted on one of them at a time.
+  const std::vector<CountedTime> hybrid{{0, 20 * ms, 5 * ms}, {0, 20 * ms, 15 * ms}};
+  EXPECT_EQ(lowest_running_ppm(hybrid, false), 1'000'000);
+  // Processors of both kinds are counted all the time.
+  const std::vector<CountedTime> processors{{0, 40 * ms, 40 * ms}, {0, 20 * ms, 5 * ms}};
+  EXPECT_EQ(lowest_running_ppm(processors, true), 750'000);
+}
+
 TEST(Counter, ThatTheHardwareHasNoRoomForCountsNothing) {
   // As of a pinned counter that is not counted: the end of the file.
   const Counter counter(open("/dev/null", O_RDONLY));
@@ -492,6 +506,11 @@ TEST(Msr, SuggestsACommandForTheSameTree) {
   const Tree tree;
   const Discovery found = discover(tree.root(), Selection{.sources = {"msr"}});
   EXPECT_THAT(found.missing, Contains(Field(&Missing::fix, HasSubstr("--root '" + tree.path()))));
+  // The program that runs: sudo may find another one, or none.
+  const std::string program = std::filesystem::read_symlink("/proc/self/exe").string();
+  EXPECT_THAT(
+      found.missing,
+      Contains(Field(&Missing::fix, HasSubstr("sudo '" + program + "' probe --allow-msr"))));
 }
 
 TEST(Msr, TakesTheReasonsOfOldProcessorsFromTheirOwnRegister) {

@@ -24,7 +24,10 @@ using testing::SizeIs;
 // Errors that the real machine's files give, from its ERRNO.tsv: "path<TAB>ERRNO".
 std::map<std::string, int> read_errors(const std::string& machine) {
   const std::map<std::string, int> known{
-      {"ENODATA", ENODATA}, {"EAGAIN", EAGAIN}, {"EACCES", EACCES}, {"EOPNOTSUPP", EOPNOTSUPP}};
+      {"EACCES", EACCES},       {"EAGAIN", EAGAIN}, {"EBUSY", EBUSY},           {"EFBIG", EFBIG},
+      {"EINVAL", EINVAL},       {"EIO", EIO},       {"ENODATA", ENODATA},       {"ENODEV", ENODEV},
+      {"ENOENT", ENOENT},       {"ENXIO", ENXIO},   {"EOPNOTSUPP", EOPNOTSUPP}, {"EPERM", EPERM},
+      {"EREMOTEIO", EREMOTEIO}, {"ETIME", ETIME},   {"ETIMEDOUT", ETIMEDOUT}};
   std::map<std::string, int> errors;
   std::ifstream file(Tree::machine_dir(machine) / "ERRNO.tsv");
   for (std::string line; std::getline(file, line);) {
