@@ -234,7 +234,33 @@ TEST(ReportMd, SaysWhatAReaderNeeds) {
   EXPECT_THAT(page, HasSubstr("perf_event_paranoid is 3"));
   EXPECT_THAT(page, HasSubstr("W on average"));
   EXPECT_THAT(page, HasSubstr("of one core"));
-  EXPECT_THAT(page, HasSubstr("refused: "));
+  EXPECT_THAT(page, HasSubstr("No energy per frame is given, because "));
+}
+
+TEST(ReportMd, BeginsWithTheAnswer) {
+  const std::string page = md_of(planted::laptop_run());
+  EXPECT_LT(page.find("**GRID is best"), page.find("> **SIMULATED**"));
+}
+
+/// What stands there before anything is unfolded.
+std::string unfolded(std::string page) {
+  for (std::size_t begin; (begin = page.find("<details>")) != page.npos;) {
+    const std::size_t end = page.find("</details>", begin);
+    if (end == page.npos) return "a fold without end";
+    page.erase(begin, end + 10 - begin);
+  }
+  return page;
+}
+
+TEST(ReportMd, FoldsWhatIsNotPartOfTheAnswer) {
+  const std::string page = md_of(planted::laptop_run());
+  const std::string shown = unfolded(page);
+  EXPECT_THAT(shown, HasSubstr("## Ranking"));
+  EXPECT_THAT(shown, HasSubstr("## Cost of measuring"));
+  for (const char* folded : {"Frame times", "Work per ray", "What could not be seen", "Sensors"}) {
+    EXPECT_THAT(page, HasSubstr(std::string("<summary>") + folded));
+    EXPECT_THAT(shown, Not(HasSubstr(folded)));
+  }
 }
 
 TEST(ReportMd, TablesKeepTheirColumns) {
@@ -555,6 +581,7 @@ TEST(ReportMd, OfABigStudyFitsAPullRequest) {
   builder.run.meta["missing_sensors"] = missing.dump();
   const std::string page = md_of(builder.run);
   EXPECT_LT(page.size(), 20'000u);
+  EXPECT_LT(unfolded(page).size(), 6'000u);
   EXPECT_THAT(page, HasSubstr("more are in report.html and report.json"));
   EXPECT_THAT(page, HasSubstr("| dragon | 3 | "));
   std::istringstream lines(page);
