@@ -929,7 +929,7 @@ EnergyReport price_energy(const RunRecord& run, std::span<const Cell> cells,
   const Plan plan = make_plan(run, cells, frames);
 
   std::vector<Priced> priced;
-  std::string why_none = "no energy channel was recorded";
+  std::string why_none;  // of the first: sources come in the order in which they are trusted
   std::set<EnergyDomain> counted_domains;
   for (const bool power : {false, true}) {
     for (const Channel& channel : run.channels) {
@@ -940,7 +940,8 @@ EnergyReport price_energy(const RunRecord& run, std::span<const Cell> cells,
       const EnergyCurve curve(channel,
                               series == run.series.end() ? SampleSeries{} : series->second);
       if (!curve.problem().empty()) {
-        if (!power) why_none = fmt::format("{}: {}", channel.name, curve.problem());
+        if (!power && why_none.empty())
+          why_none = fmt::format("{}: {}", channel.name, curve.problem());
         continue;
       }
       if (!power) counted_domains.insert(domain);
@@ -964,7 +965,8 @@ EnergyReport price_energy(const RunRecord& run, std::span<const Cell> cells,
   const Priced* primary = primary_of(priced, device);
   if (primary == nullptr) {
     report.rows = plan.rows;
-    for (EnergyRow& row : report.rows) row.refused = why_none;
+    for (EnergyRow& row : report.rows)
+      row.refused = why_none.empty() ? "no energy channel was recorded" : why_none;
     return report;
   }
   report.rows = primary->rows;
