@@ -1236,7 +1236,8 @@
       const node = byId(id);
       const made = edges.slice(1).map((end, i) => {
         const piece = make("canvas", { className: "paper", width: whole.width, height: end - edges[i] });
-        piece.getContext("2d").drawImage(whole, 0, -edges[i]);
+        const part = [whole.width, end - edges[i]];
+        piece.getContext("2d").drawImage(whole, 0, edges[i], ...part, 0, 0, ...part);
         piece.setAttribute("role", "img");
         piece.setAttribute("aria-label", node.getAttribute("aria-label"));
         return piece;
@@ -1247,7 +1248,7 @@
     for (const [id, each] of Object.entries(charts)) pieces(id, each, []);
   }
 
-  const paperWidth = 760;
+  const paperWidth = 960;
   let opened = [];
 
   function beforePrint() {
