@@ -685,7 +685,11 @@ std::string report_html(const RunRecord& run, const Analysis& analysis,
   page["images_left_out"] = std::move(shown.left_out);
   page["image_width"] = shown.max_width;
   const std::string data = script_json(page);
+  std::string answer;
+  for (const std::string& sentence : answer_text(analysis))
+    answer += fmt::format("<p>{}</p>", html_text(sentence));
   return fill(embedded::report_page(), {{"title", title},
+                                        {"answer", answer},
                                         {"style", embedded::report_style()},
                                         {"data", data},
                                         {"echarts", embedded::echarts_script()},

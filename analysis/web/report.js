@@ -255,8 +255,6 @@
 
   function fillTop() {
     show("question", run.question);
-    const answer = data.answer.length > 0 ? data.answer : [run.headline];
-    byId("answer").append(...answer.map((sentence) => make("p", {}, sentence)));
     show("verdict", run.verdict);
     for (const flag of run.flags)
       byId("flags").append(
@@ -1326,6 +1324,9 @@
       width = now;
       draw();
     }).observe(byId("chart"));
+    // The links of the navigation lead below it, however many lines it takes.
+    const nav = document.querySelector("nav");
+    new ResizeObserver(() => { document.documentElement.style.scrollPaddingTop = `${nav.offsetHeight + 8}px`; }).observe(nav);
     darkQuery.addEventListener("change", draw);
     window.addEventListener("beforeprint", beforePrint);
     window.addEventListener("afterprint", afterPrint);

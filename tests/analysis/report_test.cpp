@@ -356,8 +356,8 @@ TEST(ReportHtml, PacksFramesWithoutLosingThem) {
 
 TEST(ReportHtml, FillsTheWholePage) {
   const std::string page = html_of(planted::laptop_run());
-  for (const char* name :
-       {"{{title}}", "{{style}}", "{{data}}", "{{echarts}}", "{{script}}", "{{licences}}"})
+  for (const char* name : {"{{title}}", "{{answer}}", "{{style}}", "{{data}}", "{{echarts}}",
+                           "{{script}}", "{{licences}}"})
     EXPECT_THAT(page, Not(HasSubstr(name)));
   EXPECT_THAT(page, HasSubstr("Licensed to the Apache Software Foundation"));
   EXPECT_THAT(page, HasSubstr("Baidu Inc."));
@@ -371,6 +371,19 @@ TEST(ReportHtml, HostileNamesStayText) {
   EXPECT_THAT(page, Not(HasSubstr("</script><b>")));
   EXPECT_EQ(count_of(page, "</script>"), 3u) << "data, ECharts and our own script";
   EXPECT_EQ(data_of(page).at("report").at("cells").at(6).at("model"), "teapot </script><b>");
+}
+
+TEST(ReportHtml, GivesTheAnswerWithoutScripts) {
+  const RunRecord run = planted::laptop_run();
+  const std::string page = html_of(run);
+  std::size_t at = 0;
+  for (const std::string& sentence : answer_text(analyze(run))) {
+    const std::size_t found = page.find("<p>" + sentence + "</p>");
+    ASSERT_NE(found, page.npos) << sentence;
+    EXPECT_GT(found, at);
+    at = found;
+  }
+  EXPECT_LT(at, page.find("<nav"));
 }
 
 TEST(ReportHtml, ImagesAreEmbedded) {
