@@ -15,6 +15,7 @@
 #include "analysis/report_text.h"
 #include "page_data.h"
 #include "planted_run.h"
+#include "tests/sanitized.h"
 
 namespace energyprof::analysis {
 namespace {
@@ -409,11 +410,14 @@ TEST(ReportHtml, ShowsEveryPictureOfAFullStudy) {
   // 3 models, 3 views, 6 algorithms and the reference: noise, which packs worse than any heat map.
   std::mt19937 random(1);
   std::vector<uint8_t> rgb;
-  for (int i = 0; i < 3 * 640 * 360; ++i) rgb.push_back(static_cast<uint8_t>(random() % 64));
+  const uint32_t width = test::is_sanitized ? 160 : 640;
+  const uint32_t height = width * 9 / 16;
+  for (uint32_t i = 0; i < 3 * width * height; ++i)
+    rgb.push_back(static_cast<uint8_t>(random() % 64));
   png_image image{};
   image.version = PNG_IMAGE_VERSION;
-  image.width = 640;
-  image.height = 360;
+  image.width = width;
+  image.height = height;
   image.format = PNG_FORMAT_RGB;
   png_alloc_size_t bytes = 0;
   png_image_write_to_memory(&image, nullptr, &bytes, 0, rgb.data(), 0, nullptr);
