@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <optional>
 #include <utility>
@@ -146,7 +147,8 @@ std::optional<std::string> png_of(const Picture& picture) {
   // The mean of a bin lies in the bin.
   std::vector<uint8_t> index_of(std::size_t{1} << 3 * bin_bits);
   for (std::size_t k = 0; k < boxes.size(); ++k) {
-    for (const double mean : boxes[k].mean) palette.push_back(static_cast<uint8_t>(mean + 0.5));
+    for (const double mean : boxes[k].mean)
+      palette.push_back(static_cast<uint8_t>(std::lround(mean)));
     for (const Box::Color& color : boxes[k].colors)
       index_of[bin_of(color.rgb.data())] = static_cast<uint8_t>(k);
   }
