@@ -1,6 +1,7 @@
 #include "analysis/report_html.h"
 
 #include <fmt/format.h>
+#include <tbb/parallel_for.h>
 
 #include <algorithm>
 #include <array>
@@ -22,6 +23,7 @@
 #include "analysis/report_json.h"
 #include "analysis/report_text.h"
 #include "analysis/series.h"
+#include "analysis/shrink_png.h"
 #include "embedded/echarts_script.h"
 #include "embedded/report_licences.h"
 #include "embedded/report_page.h"
@@ -487,31 +489,54 @@ PictureName picture_name(const std::string& title) {
   return {title.substr(0, view) + ", view " + title.substr(view + 5, end - view - 5), what};
 }
 
-/// The pictures that fit into `budget_bytes`, reference images first, by model and view; `left_out`
-/// names those that do not.
-json image_list(const std::vector<ReportImage>& images, std::size_t budget_bytes, json& left_out) {
+/// The pictures of the page as they fit into it.
+struct ShownImages {
+  json list = json::array();      ///< reference images first
+  json left_out = json::array();  ///< files that did not fit
+  uint32_t max_width = 0;
+};
+
+/// All pictures, in the largest of a few widths at which they fit into `budget_bytes` together;
+/// those that fit where even the smallest is too much.
+ShownImages shown_images(const std::vector<ReportImage>& images, std::size_t budget_bytes) {
   std::vector<const ReportImage*> order;
   for (const ReportImage& image : images)
     if (!image.png.empty()) order.push_back(&image);
   std::stable_partition(order.begin(), order.end(), [](const ReportImage* image) {
     return picture_name(image->title).what == "reference";
   });
-  json list = json::array();
+  const auto page_bytes = [](const std::string& png) { return (png.size() + 2) / 3 * 4 + 300; };
+  ShownImages shown;
+  // The page shows them about 280 pixels wide: the first width suits screens with twice the pixels.
+  constexpr std::array<uint32_t, 4> widths{640, 320, 240, 160};
+  std::vector<std::string> largest(order.size());
+  tbb::parallel_for(std::size_t{0}, order.size(),
+                    [&](std::size_t i) { largest[i] = shrink_png(order[i]->png, widths.front()); });
+  std::vector<std::string> pngs = largest;
+  for (const uint32_t width : widths) {
+    shown.max_width = width;
+    if (width != widths.front())
+      tbb::parallel_for(std::size_t{0}, order.size(),
+                        [&](std::size_t i) { pngs[i] = shrink_png(largest[i], width); });
+    std::size_t total_bytes = 0;
+    for (const std::string& png : pngs) total_bytes += page_bytes(png);
+    if (total_bytes <= budget_bytes) break;
+  }
   std::size_t total_bytes = 0;
-  for (const ReportImage* image : order) {
-    const std::size_t bytes = (image->png.size() + 2) / 3 * 4 + 300;
-    if (total_bytes + bytes > budget_bytes) {
-      left_out.push_back(image_file(image->title));
+  for (std::size_t i = 0; i < order.size(); ++i) {
+    if (total_bytes + page_bytes(pngs[i]) > budget_bytes) {
+      shown.left_out.push_back(image_file(order[i]->title));
       continue;
     }
-    total_bytes += bytes;
-    const PictureName name = picture_name(image->title);
-    list.push_back({{"title", image->title},
-                    {"place", name.place},
-                    {"what", name.what},
-                    {"src", "data:image/png;base64," + base64(image->png)}});
+    total_bytes += page_bytes(pngs[i]);
+    const PictureName name = picture_name(order[i]->title);
+    shown.list.push_back({{"title", order[i]->title},
+                          {"place", name.place},
+                          {"what", name.what},
+                          {"file", image_file(order[i]->title)},
+                          {"src", "data:image/png;base64," + base64(pngs[i])}});
   }
-  return list;
+  return shown;
 }
 
 /// report.json without what the page holds in a shorter form.
@@ -656,12 +681,17 @@ std::string report_html(const RunRecord& run, const Analysis& analysis,
       script_json(page).size() + licences.size() + embedded::report_page().size() +
       embedded::report_style().size() + embedded::echarts_script().size() +
       embedded::report_script().size();
-  json left_out = json::array();
-  page["images"] =
-      image_list(images, max_page_bytes - std::min(max_page_bytes, bytes_without_images), left_out);
-  page["images_left_out"] = std::move(left_out);
+  ShownImages shown =
+      shown_images(images, max_page_bytes - std::min(max_page_bytes, bytes_without_images));
+  page["images"] = std::move(shown.list);
+  page["images_left_out"] = std::move(shown.left_out);
+  page["image_width"] = shown.max_width;
   const std::string data = script_json(page);
+  std::string answer;
+  for (const std::string& sentence : answer_text(analysis))
+    answer += fmt::format("<p>{}</p>", html_text(sentence));
   return fill(embedded::report_page(), {{"title", title},
+                                        {"answer", answer},
                                         {"style", embedded::report_style()},
                                         {"data", data},
                                         {"echarts", embedded::echarts_script()},

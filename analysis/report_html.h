@@ -20,8 +20,9 @@ std::string image_file(const std::string& title);
 /// The page, below 3 MB for 100,000 frames, however many of them outliers, under 40 channels.
 /// Curves are thinned to at most 2,000 points per channel, lowest and highest values kept, and
 /// fewer with many channels or outliers. Every outlier is kept, of more than 100,000 those that
-/// lost most time (the page says so). Images take what is left of the 3 MB, reference images first;
-/// the page names the others.
+/// lost most time (the page says so). Images share what is left of the 3 MB: all are shrunk as far
+/// as it takes to show every one. Of more than fit at the smallest size the page shows reference
+/// images first, and names the others.
 std::string report_html(const RunRecord& run, const Analysis& analysis,
                         const std::vector<ReportImage>& images = {});
 

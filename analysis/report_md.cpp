@@ -132,10 +132,10 @@ std::string member(const nlohmann::json& object, const char* key) {
 void write_top(Page& page, const RunRecord& run, const Analysis& analysis) {
   const RunFacts& facts = analysis.run;
   page.line("# energyprof: {}\n", facts.name ? escaped(*facts.name) : "run without a name");
-  for (const Flag& flag : analysis.flags)
-    page.line("> **{}** {}\n", flag.label, escaped(flag.text));
   for (const std::string& sentence : answer_text(analysis))
     page.line("**{}**\n", escaped(sentence));
+  for (const Flag& flag : analysis.flags)
+    page.line("> **{}** {}\n", flag.label, escaped(flag.text));
   if (facts.verdict) page.line("{}\n", escaped(*facts.verdict));
   if (facts.question) page.line("Question: {}\n", escaped(*facts.question));
   page.table({"", ""});
@@ -210,8 +210,11 @@ void write_medians(Page& page, const Analysis& analysis) {
 
 void write_cells(Page& page, const Analysis& analysis) {
   if (analysis.cells.empty()) return;
-  page.heading("Frame times");
-  if (analysis.cells.size() > table_length) return write_medians(page, analysis);
+  page.fold("Frame times");
+  if (analysis.cells.size() > table_length) {
+    write_medians(page, analysis);
+    return page.fold_end();
+  }
   page.table({"model", ">view", "algorithm", ">frames", ">median \\[ms\\]", ">95 % \\[ms\\]",
               ">truncated mean \\[ms\\]", ">stddev \\[ms\\]", ">outliers", ">Mrays/s",
               ">hits \\[%\\]", "checksums"});
@@ -224,6 +227,7 @@ void write_cells(Page& page, const Analysis& analysis) {
               number(cell.mrays_per_s, 2), cell.hit_ratio ? number(100 * *cell.hit_ratio, 1) : "-",
               agreement(cell)});
   }
+  page.fold_end();
 }
 
 void write_work(Page& page, const Analysis& analysis) {
@@ -345,7 +349,7 @@ std::string share(std::optional<double> value, const std::optional<Interval>& in
 void write_factors(Page& page, const Analysis& analysis) {
   const FactorReport& factors = analysis.factors;
   if (factors.factors.empty()) return;
-  page.heading("What explains time and energy");
+  page.fold("What explains time and energy");
   if (factors.explained_time_ratio) {
     page.line("Shares of the variance of log time and log energy per ray across {}, 95 %.\n",
               counted(factors.cell_count, "cell"));
@@ -359,7 +363,16 @@ void write_factors(Page& page, const Analysis& analysis) {
                   ? fmt::format(", {:.0f} % of energy", 100 * (1 - *factors.explained_energy_ratio))
                   : "");
   }
-  for (const std::string& note : factors.notes) page.line("\n{}", escaped(note));
+  // What the table says of a factor is not said again.
+  const auto is_told = [&](const std::string& note) {
+    return factors.explained_time_ratio &&
+           std::any_of(factors.factors.begin(), factors.factors.end(), [&](const Factor& factor) {
+             return !factor.note.empty() && note.find(factor.note) != std::string::npos;
+           });
+  };
+  for (const std::string& note : factors.notes)
+    if (!is_told(note)) page.line("\n{}", escaped(note));
+  page.fold_end();
 }
 
 void write_energy_rows(Page& page, const std::vector<EnergyRow>& rows, bool with_channel) {
@@ -395,6 +408,12 @@ void write_energy_rows(Page& page, const std::vector<EnergyRow>& rows, bool with
 void write_energy(Page& page, const Analysis& analysis) {
   if (analysis.energy.empty()) return;
   page.heading("Energy");
+  std::vector<std::string> reasons;
+  for (const EnergyRow& row : analysis.energy)
+    if (std::find(reasons.begin(), reasons.end(), row.refused) == reasons.end())
+      reasons.push_back(row.refused);
+  if (reasons.size() == 1 && !reasons.front().empty())
+    return page.line("No energy per frame is given, because {}.", escaped(reasons.front()));
   if (const std::string text = energy_text(analysis); !text.empty())
     page.line("{}\n", escaped(text));
   write_energy_rows(page, analysis.energy, false);
@@ -435,7 +454,8 @@ void write_sensors(Page& page, const Analysis& analysis) {
   page.more(analysis.sensors.size());
   page.fold_end();
 
-  page.heading("What could not be seen");
+  page.fold(fmt::format("What could not be seen: {}",
+                        counted(analysis.missing_sensors.size(), "source")));
   if (analysis.missing_sensors.empty()) page.line("The recorder lists no missing sensor.");
   if (!analysis.missing_sensors.empty()) page.table({"source", "why", "what to do"});
   for (const MissingSensor& missing : first_of(analysis.missing_sensors))
@@ -445,6 +465,7 @@ void write_sensors(Page& page, const Analysis& analysis) {
   if (!analysis.device_refusals.empty()) page.line("\nDevices that were not used:\n");
   for (const DeviceRefusal& refusal : first_of(analysis.device_refusals, list_length))
     page.line("- {}: {}", escaped(refusal.name), escaped(refusal.reason));
+  page.fold_end();
 }
 
 void write_cost(Page& page, const SamplerCost& cost) {

@@ -38,7 +38,7 @@ std::string dump(const json& value) {
 class Writer {
  public:
   Writer(std::ostream& out, int64_t origin_ns) : out_(out), origin_ns_(origin_ns) {
-    append("{\"displayTimeUnit\":\"ms\",\"traceEvents\":[");
+    append("{\"traceEvents\":[");
   }
 
   void name_process(int pid, const std::string& name, int sort_index) {
@@ -53,39 +53,33 @@ class Writer {
   void slice(int tid, const std::string& name, const char* category, int64_t begin_ns,
              int64_t end_ns, const json& args) {
     begin_event();
-    fmt::format_to(std::back_inserter(text_),
-                   R"({{"ph":"X","pid":{},"tid":{},"name":{},"cat":"{}","ts":)", work_pid, tid,
-                   dump(name), category);
+    fmt::format_to(std::back_inserter(text_), R"({{"ph":"X","pid":{},"tid":{},"ts":)", work_pid,
+                   tid);
     append_us(begin_ns - origin_ns_);
     append(",\"dur\":");
     append_us(end_ns - begin_ns);
-    append(",\"args\":");
-    append(dump(args));
-    append("}");
+    append_described(name, category, args);
   }
   /// A curve as a track of its own.
   void counters(int pid, const std::string& name, const Curve& curve) {
-    const std::string head =
-        fmt::format(R"({{"ph":"C","pid":{},"tid":0,"name":{},"ts":)", pid, dump(name));
+    const std::string head = fmt::format(R"({{"ph":"C","pid":{},"tid":0,"ts":)", pid);
+    const std::string tail = fmt::format(R"(,"name":{},"args":{{"value":)", dump(name));
     for (std::size_t i = 0; i < curve.t_ns.size(); ++i) {
       if (!std::isfinite(curve.value[i])) continue;
       begin_event();
       append(head);
       append_us(curve.t_ns[i] - origin_ns_);
-      append(",\"args\":{\"value\":");
+      append(tail);
       append_number(curve.value[i]);
       append("}}");
     }
   }
   void instant(const std::string& name, const char* category, int64_t t_ns, const json& args) {
     begin_event();
-    fmt::format_to(std::back_inserter(text_),
-                   R"({{"ph":"i","s":"g","pid":{},"tid":{},"name":{},"cat":"{}","ts":)", work_pid,
-                   events_tid, dump(name), category);
+    fmt::format_to(std::back_inserter(text_), R"({{"ph":"i","s":"t","pid":{},"tid":{},"ts":)",
+                   work_pid, events_tid);
     append_us(t_ns - origin_ns_);
-    append(",\"args\":");
-    append(dump(args));
-    append("}");
+    append_described(name, category, args);
   }
   void finish(const json& metadata) {
     append("\n],\n\"otherData\":");
@@ -100,6 +94,12 @@ class Writer {
     fmt::format_to(std::back_inserter(text_),
                    R"({{"ph":"M","pid":{},"tid":{},"name":"{}","args":{}}})", pid, tid, kind,
                    dump(args));
+  }
+  /// The end of an event. Text from outside comes behind the time: older Perfettos look for the
+  /// time with a reader that gives the file up at an escape like \u001b.
+  void append_described(const std::string& name, const char* category, const json& args) {
+    fmt::format_to(std::back_inserter(text_), R"(,"name":{},"cat":"{}","args":{}}})", dump(name),
+                   category, dump(args));
   }
   void begin_event() {
     constexpr std::size_t chunk_bytes = 1 << 16;
@@ -385,11 +385,14 @@ void write_frames(const RunRecord& run, const Analysis* analysis, Budget& budget
   Track track;
   for (const FrameRecord* frame : frames) {
     json args = frame_args(*frame);
-    if (const auto slow = outliers.find(frame); slow != outliers.end())
-      add_outlier(*slow->second, args);
     const auto found = algorithm.find(frame->trial_id);
     std::string name = found == algorithm.end() ? "frame of no trial" : found->second;
     if (frame->phase != Phase::timed) name += fmt::format(" ({})", to_string(frame->phase));
+    // Viewers colour slices by name: an outlier stands out.
+    if (const auto slow = outliers.find(frame); slow != outliers.end()) {
+      add_outlier(*slow->second, args);
+      name += fmt::format(", outlier: {}", to_string(slow->second->attribution.cause));
+    }
     const Range slice = track.place(frame->begin_ns, frame->end_ns, args);
     writer.slice(frames_tid, name, "frame", slice.begin_ns, slice.end_ns, args);
   }

@@ -20,7 +20,6 @@
 #include "analysis/report_html.h"
 #include "analysis/report_json.h"
 #include "analysis/report_md.h"
-#include "analysis/shrink_png.h"
 
 namespace energyprof::analysis {
 namespace {
@@ -95,25 +94,18 @@ std::string read_bytes(const fs::path& file) {
 }
 
 /// Pictures by name; only reference images and heat maps, which the page shows, with their bytes.
-/// Those are shrunk, to twice the width at which the page shows them or, where that is too much for
-/// it, to that width.
 std::vector<ReportImage> read_images(const fs::path& directory) {
-  constexpr std::size_t most_bytes = 1'200'000;
   std::vector<fs::path> files;
   std::error_code none;
   for (fs::directory_iterator entry(directory, none), end; entry != end; entry.increment(none))
     if (entry->path().extension() == ".png") files.push_back(entry->path());
   std::sort(files.begin(), files.end());
   std::vector<ReportImage> images;
-  std::size_t total_bytes = 0;
   for (const fs::path& file : files) {
     const std::string title = file.stem().string();
     const bool shown = title.ends_with("_reference") || title.ends_with("_heat");
-    images.push_back({title, shown ? shrink_png(read_bytes(file), 640) : std::string()});
-    total_bytes += images.back().png.size();
+    images.push_back({title, shown ? read_bytes(file) : std::string()});
   }
-  if (total_bytes > most_bytes)
-    for (ReportImage& image : images) image.png = shrink_png(std::move(image.png), 320);
   return images;
 }
 

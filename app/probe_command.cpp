@@ -14,6 +14,7 @@
 #include "app/commands.h"
 #include "app/gpu_counters.h"
 #include "app/sensors.h"
+#include "app/terminal.h"
 #include "core/run_db.h"
 #include "kernels/device.h"
 #include "probe/characterize.h"
@@ -144,42 +145,14 @@ constexpr size_t unit_width = 8;
 // Channels that differ in their numbers only, as those of cores do, are one line from this many on.
 constexpr size_t fewest_to_fold = 4;
 
-/// How many columns the terminal needs for UTF-8 text.
-size_t columns_of(std::string_view text) {
-  return static_cast<size_t>(
-      std::count_if(text.begin(), text.end(), [](char c) { return (c & 0xC0) != 0x80; }));
-}
-
-/// Filled up to `width` columns, on the left if `right`; longer text stays as it is.
-std::string padded(const std::string& text, size_t width, bool right = false) {
-  const std::string fill(width - std::min(width, columns_of(text)), ' ');
-  return right ? fill + text : text + fill;
-}
-
 /// The end of a long path says more than its beginning.
 std::string shortened(const std::string& text, size_t width) {
   return text.size() <= width ? text : "..." + text.substr(text.size() - (width - 3));
 }
 
 /// `text` in lines of the page, each after the first behind `indent` spaces.
-std::string wrapped(std::string_view text, size_t indent) {
-  std::string result;
-  size_t column = indent;
-  while (!text.empty()) {
-    const size_t end = std::min(text.find(' '), text.size());
-    const std::string_view word = text.substr(0, end);
-    text.remove_prefix(std::min(end + 1, text.size()));
-    if (column > indent && column + 1 + word.size() > page_width) {
-      result += '\n' + std::string(indent, ' ');
-      column = indent;
-    } else if (column > indent) {
-      result += ' ';
-      ++column;
-    }
-    result += word;
-    column += word.size();
-  }
-  return result;
+std::string on_page(std::string_view text, size_t indent) {
+  return wrapped(text, indent, page_width);
 }
 
 /// "coretemp.core_12.temp" -> "coretemp.core_*.temp"
@@ -287,7 +260,7 @@ void print_wakers(const std::vector<ProbedChannel>& probed) {
     text += fmt::format("{}{} channels of {} of {}", text.empty() ? "" : ", ", channel_count,
                         who.first, who.second);
   fmt::print("\n{}\n",
-             wrapped(text + ": to read them may wake that GPU, also now; they are left alone while "
+             on_page(text + ": to read them may wake that GPU, also now; they are left alone while "
                             "a run idles",
                      0));
 }
@@ -299,7 +272,7 @@ void print_devices(const probe::Root& root) {
     const std::string name = device["name"].is_null() ? "none" : device["name"].get<std::string>();
     if (!device["refused"].is_null()) {
       fmt::print("  {}\n",
-                 wrapped(fmt::format("{}: {}", name, device["refused"].get<std::string>()), 2));
+                 on_page(fmt::format("{}: {}", name, device["refused"].get<std::string>()), 2));
       continue;
     }
     fmt::print("  {} ({}, {})\n", name, device["type"].get<std::string>(),
@@ -308,7 +281,7 @@ void print_devices(const probe::Root& root) {
     if (counters.empty()) {
       fmt::print(
           "    {}\n",
-          wrapped("no counters of its own: " + device["no_counters_reason"].get<std::string>(), 4));
+          on_page("no counters of its own: " + device["no_counters_reason"].get<std::string>(), 4));
       if (!device["no_counters_fix"].is_null())
         fmt::print("    fix: {}\n", device["no_counters_fix"].get<std::string>());
       continue;
@@ -318,7 +291,7 @@ void print_devices(const probe::Root& root) {
       if (counter["counted"].get<bool>())
         names += (names.empty() ? "" : ", ") + counter["name"].get<std::string>();
     fmt::print("    {}\n",
-               wrapped(fmt::format("{} counters of its own; counted after each trial: {}",
+               on_page(fmt::format("{} counters of its own; counted after each trial: {}",
                                    counters.size(), names.empty() ? "none" : names),
                        4));
   }
@@ -332,12 +305,12 @@ void print_text(const probe::Root& root, const probe::Discovery& discovery,
   print_wakers(probed);
   if (!discovery.missing.empty()) fmt::print("\nnot seen\n");
   for (const probe::Missing& m : discovery.missing) {
-    fmt::print("  {} {}\n", padded(m.source, 16), wrapped(m.reason, 19));
+    fmt::print("  {} {}\n", padded(m.source, 16), on_page(m.reason, 19));
     // On one line, however long: it is there to be copied.
     if (!m.fix.empty()) fmt::print("  {} fix: {}\n", padded("", 16), m.fix);
   }
   print_devices(root);
-  fmt::print("\n{}\n", wrapped(probe::verdict(discovery), 0));
+  fmt::print("\n{}\n", on_page(probe::verdict(discovery), 0));
 }
 
 }  // namespace

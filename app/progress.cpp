@@ -1,13 +1,14 @@
 #include "app/progress.h"
 
 #include <fmt/format.h>
-#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <utility>
 
+#include "app/terminal.h"
 #include "core/clock.h"
 
 namespace energyprof::app {
@@ -21,9 +22,12 @@ std::string duration_text(double seconds) {
   return fmt::format("{}:{:02} min", whole / 60, whole % 60);
 }
 
-size_t terminal_width() {
-  winsize size{};
-  return ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 20 ? size.ws_col : 80;
+/// Of the first `width` bytes, what are whole characters.
+std::string cut(std::string text, size_t width) {
+  if (text.size() <= width) return text;
+  while (width > 0 && (text[width] & 0xC0) == 0x80) --width;
+  text.resize(width);
+  return text;
 }
 
 }  // namespace
@@ -73,8 +77,7 @@ void Progress::draw() {
   if (config_.live_values)
     if (const std::string values = config_.live_values(); !values.empty()) line += "  " + values;
   line += "  " + title_;
-  line.resize(std::min(line.size(), terminal_width() - 1));
-  fmt::print(stderr, "\r\033[K{}", line);
+  fmt::print(stderr, "\r\033[K{}", cut(std::move(line), terminal_width(stderr).value_or(80) - 1));
   std::fflush(stderr);
 }
 

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <ctime>
 #include <map>
 #include <vector>
@@ -9,6 +10,7 @@
 #include "analysis/analyze.h"
 #include "analysis/report_text.h"
 #include "analysis/write_reports.h"
+#include "app/terminal.h"
 #include "core/run_db.h"
 
 namespace energyprof::app {
@@ -29,37 +31,53 @@ fs::path default_run_dir(const std::string& name) {
 
 namespace {
 
-/// A line per algorithm: the paper's score beside energy and outliers.
-void print_ranking(const analysis::Analysis& result, std::FILE* to) {
-  if (result.ranking.empty()) return;
+/// A line per algorithm: the paper's score beside energy and outliers, in 80 columns where names
+/// are no longer than ours.
+std::string ranking_text(const analysis::Analysis& result) {
+  if (result.ranking.empty()) return {};
   std::map<std::string, int64_t> outlier_count;
   for (const analysis::Cell& cell : result.cells)
     outlier_count[cell.algorithm] += cell.outlier_count;
-  fmt::print(to, "{:>4}  {:<18} {:>10} {:>20} {:>10} {:>9}  {}\n", "rank", "algorithm", "score ms",
-             "95 %", "times best", "outliers", "net energy per ray, 95 %");
+  size_t name_width = 9;
   for (const analysis::RankingRow& row : result.ranking)
-    fmt::print(
-        to, "{:>4}  {:<18} {:>10.3f} {:>20} {:>10.3f} {:>9}  {}\n", row.rank, row.algorithm,
-        row.score_ms,
-        fmt::format("{:.3f} to {:.3f}", row.score_interval_ms.low, row.score_interval_ms.high),
-        row.normalized, outlier_count[row.algorithm],
-        analysis::energy_of_text(result, row.algorithm));
+    name_width = std::max(name_width, columns_of(row.algorithm));
+  std::string text =
+      fmt::format("rank  {}  {:>8}  {:>10}  {:>8}  {}\n", padded("algorithm", name_width),
+                  "score ms", "times best", "outliers", "net energy/ray, 95 %");
+  for (const analysis::RankingRow& row : result.ranking)
+    text +=
+        fmt::format("{:>4}  {}  {:>8.3f}  {:>10.3f}  {:>8}  {}\n", row.rank,
+                    padded(row.algorithm, name_width), row.score_ms, row.normalized,
+                    outlier_count[row.algorithm], analysis::energy_of_text(result, row.algorithm));
+  return text;
 }
 
-/// The result in a few lines, the answer last: what stdout is for.
-void print_summary(const analysis::Analysis& result, std::FILE* to) {
-  print_ranking(result, to);
-  if (result.run.command)
-    for (const analysis::Reading& row : analysis::readings(result))
-      fmt::print(to, "  {:<14} {:<40} {}\n", to_string(row.quantity), row.channel, row.text);
-  for (const std::string& line : analysis::sampler_text(result.sampler))
-    fmt::print(to, "{}\n", line);
-  for (const analysis::Flag& flag : result.flags) fmt::print(to, "{}: {}\n", flag.label, flag.text);
-  for (const std::string& sentence : analysis::answer_text(result))
-    fmt::print(to, "{}\n", sentence);
+std::string readings_text(const analysis::Analysis& result) {
+  const std::vector<analysis::Reading> rows = analysis::readings(result);
+  size_t name_width = 0;
+  for (const analysis::Reading& row : rows)
+    name_width = std::max(name_width, columns_of(row.channel));
+  std::string text;
+  for (const analysis::Reading& row : rows)
+    text += fmt::format("{:<14}  {}  {}\n", to_string(row.quantity),
+                        padded(row.channel, name_width), row.text);
+  return text;
 }
 
 }  // namespace
+
+std::string summary_text(const analysis::Analysis& result, std::optional<size_t> width) {
+  std::string text;
+  const auto put = [&](const std::string& line) {
+    text += (width ? wrapped(line, 0, *width) : line) + '\n';
+  };
+  for (const std::string& line : analysis::sampler_text(result.sampler)) put(line);
+  text += ranking_text(result);
+  if (result.run.command) text += readings_text(result);
+  for (const analysis::Flag& flag : result.flags) put(flag.label + ": " + flag.text);
+  for (const std::string& sentence : analysis::answer_text(result)) put(sentence);
+  return text;
+}
 
 void write_all_reports(const fs::path& dir, const fs::path& file, std::FILE* to) {
   const RunRecord run = read_run(file);
@@ -70,7 +88,7 @@ void write_all_reports(const fs::path& dir, const fs::path& file, std::FILE* to)
   for (const fs::path& path : written) fmt::print(to, "{}\n", path.string());
   const fs::path images = dir / "images";
   if (fs::is_directory(images) && !fs::is_empty(images)) fmt::print(to, "{}/\n", images.string());
-  print_summary(result, to);
+  fmt::print(to, "{}", summary_text(result, terminal_width(to)));
 }
 
 }  // namespace energyprof::app

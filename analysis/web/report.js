@@ -52,6 +52,11 @@
     const [factor, prefix] = value >= 1000 ? [1, ""] : prefixOf(Math.abs(value) * 1e-3);
     return `${+(value * 1e-3 / factor).toPrecision(3)} ${prefix}s`;
   };
+  const axisNumber = (value) => {
+    if (Math.abs(value) < 1e5) return value.toLocaleString("en", { maximumSignificantDigits: 6 });
+    const [factor, prefix] = prefixOf(Math.abs(value));
+    return `${+(value / factor).toPrecision(3)} ${prefix}`;
+  };
   const scaledMs = (value) => scaled(value * 1e-3, "s");
   const percent = (ratio) => (ratio === null ? "-" : `${+(100 * ratio).toPrecision(3)} %`);
 
@@ -250,8 +255,6 @@
 
   function fillTop() {
     show("question", run.question);
-    const answer = data.answer.length > 0 ? data.answer : [run.headline];
-    byId("answer").append(...answer.map((sentence) => make("p", {}, sentence)));
     show("verdict", run.verdict);
     for (const flag of run.flags)
       byId("flags").append(
@@ -436,7 +439,8 @@
       return;
     }
     out.append(make("h3", {}, "Outliers and throttling"));
-    out.append(make("p", {}, `${found.verdict}.`));
+    out.append(make("p", { className: "verdict" }, `${found.verdict}.`));
+    if (found.frames === 0) return;
     const normal = found.throttled - found.throttled_outliers;
     const rows = [
       { name: "outliers", hit: found.throttled_outliers, rest: found.outliers - found.throttled_outliers },
@@ -448,7 +452,7 @@
         + `${odds.high === null ? "no bound" : odds.high.toPrecision(3)}).`;
     const p = (value) => (value === null ? "not told" : value.toPrecision(2));
     out.append(table(`${found.frames} frames that a throttle sensor saw.`, [
-      { title: "", header: true, value: (row) => row.name },
+      { title: "Frames", header: true, value: (row) => row.name },
       { title: "Throttled", right: true, value: (row) => String(row.hit) },
       { title: "Not throttled", right: true, value: (row) => String(row.rest) },
       { title: "Share throttled", right: true,
@@ -577,13 +581,15 @@
     }
   }
 
-  function picture(image, caption) {
-    return make("figure", {}, make("img", { src: image.src, alt: caption, loading: "lazy" }),
-      make("figcaption", {}, caption));
-  }
-
+  const hrefOf = (file) => file.split("/").map(encodeURIComponent).join("/");
   const linked = (files) => make("ul", {}, ...files.map((file) =>
-    make("li", {}, make("a", { href: encodeURI(file) }, file))));
+    make("li", {}, make("a", { href: hrefOf(file) }, file))));
+
+  function picture(image, caption) {
+    return make("figure", {}, make("a", { href: hrefOf(image.file) },
+      make("img", { src: image.src, alt: `${caption} of ${image.place || image.title}` })),
+    make("figcaption", {}, caption));
+  }
 
   function fillImages() {
     const out = body("images");
@@ -595,13 +601,15 @@
     }
     if (data.images.length === 0 && data.named_images.length === 0) out.append(note("The run has no images."));
     if (data.images.some((image) => image.place && image.what !== "reference"))
-      out.append(note("Heat maps: cost per pixel = 0.5 per box test + 1 per triangle test of the primary ray. Large pictures are shrunk here; the files in images/ are not."));
+      out.append(note("Heat maps: cost per pixel = 0.5 per box test + 1 per triangle test of the primary ray."));
+    if (data.images.length > 0)
+      out.append(note(`Here in 64 colours and at most ${data.image_width} pixels wide; each leads to its file in images/, which is whole.`));
     for (const [place, images] of places)
       out.append(make("h3", {}, place), make("div", { className: "pictures" },
         ...images.map((image) => picture(image, image.what
           ? (image.what === "reference" ? "Reference image" : `${image.what}, heat map`) : image.title))));
     if (data.images_left_out.length > 0)
-      out.append(note(`The page would be too large with ${plural(data.images_left_out.length, "more image")}:`),
+      out.append(note(`Even at this size ${plural(data.images_left_out.length, "more image")} would make the page larger than 3 MB; beside it:`),
         linked(data.images_left_out));
     if (data.named_images.length > 0) out.append(note("Beside this page:"), linked(data.named_images));
   }
@@ -770,11 +778,12 @@
     }
     for (const band of activeBands(t))
       box.append(line(bandName(band), band.channels.slice(0, 3).join(", ")));
+    if (isNarrow()) return box;
     for (const track of data.tracks) {
       box.append(make("b", {}, `${track.title} [${track.unit}]`));
       for (const channel of track.channels.slice(0, 6)) {
         const value = valueAt(track, channel, t);
-        box.append(line(channel.name, value === undefined ? "-" : String(+value.toPrecision(4))));
+        box.append(line(channel.name, value === undefined ? "-" : axisNumber(+value.toPrecision(4))));
       }
       if (track.channels.length > 6) box.append(line(`and ${track.channels.length - 6} more`, ""));
     }
@@ -857,6 +866,9 @@
     }));
   }
 
+  // Too narrow for wide margins, and for a tip that names every channel.
+  const isNarrow = () => byId("chart").clientWidth < 620;
+
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
   // Where each grid stands: the frames first, then a lane per class of throttling, then the tracks.
@@ -866,7 +878,7 @@
       ...data.tracks.map((track) => ({ track, height: trackHeight, title: `${track.title} [${track.unit}]` }))];
     let y = top;
     return grids.map((grid, index) => {
-      const labelled = index === 0 || index === grids.length - 1;
+      const labelled = printing || index === 0 || index === grids.length - 1;
       if (grid.bands && index > 0) y -= laneHeight;
       const row = { ...grid, y, labelled };
       y += grid.height + gap + (labelled ? labelHeight : 0);
@@ -879,12 +891,11 @@
   function option() {
     const soft = css("--soft");
     const all = rows();
-    const narrow = byId("chart").clientWidth < 620;
-    const left = narrow ? 52 : 72;
+    const left = isNarrow() ? 52 : 72;
     const legend = (row) => ({
       type: "scroll", left, right: 12, top: row.y - 26, height: 20, itemHeight: 8, itemWidth: 14, show: !row.bands,
       itemStyle: { borderWidth: 0 },
-      textStyle: { color: css("--ink"), fontSize: 11 }, pageIconColor: css("--accent"),
+      textStyle: { color: css("--ink"), fontSize: 11, lineHeight: 16 }, pageIconColor: css("--accent"),
       pageIconInactiveColor: css("--line"), pageTextStyle: { color: soft }, pageIconSize: 11,
       inactiveColor: css("--line"), selectedMode: "multiple",
       data: row.frames
@@ -900,7 +911,7 @@
         scale: !row.frames && !flag && !row.track.is_rate, min: flag ? 0 : undefined,
         max: flag ? 1 : undefined, splitNumber: row.frames ? 5 : 2, minInterval: flag ? 1 : undefined,
         axisLabel: { color: soft, fontSize: 11, hideOverlap: true,
-          formatter: row.frames ? axisMs : undefined },
+          formatter: row.frames ? axisMs : axisNumber },
         splitLine: { lineStyle: { color: css("--grid") } },
         axisPointer: { show: false },
       };
@@ -977,7 +988,7 @@
     textStyle: { fontFamily: getComputedStyle(document.body).fontFamily },
     grid: { left: 68, right: 24, top: 62, bottom: 52 },
     legend: { type: "scroll", top: 8, left: 0, right: 0, itemHeight: 9, itemWidth: 14, data: legend, formatter: cut,
-      textStyle: { color: css("--ink"), fontSize: 11 }, pageIconColor: css("--accent"),
+      textStyle: { color: css("--ink"), fontSize: 11, lineHeight: 16 }, pageIconColor: css("--accent"),
       pageIconInactiveColor: css("--line"), pageTextStyle: { color: css("--soft") }, pageIconSize: 11,
       inactiveColor: css("--line") },
     tooltip: { trigger: "item", confine: true, transitionDuration: 0, backgroundColor: css("--panel"),
@@ -1211,6 +1222,56 @@
     drawTheory();
   }
 
+  // ---- on paper
+
+  // Charts as still pictures as wide as the page; the one over time in pieces of a track each, so that none is cut by
+  // the end of a page.
+  function putOnPaper() {
+    const pieces = (id, all, cuts) => {
+      const whole = all.renderToCanvas({ pixelRatio: 2, backgroundColor: "#ffffff" });
+      const scale = whole.width / all.getWidth();
+      const edges = [0, ...cuts.map((y) => Math.round(y * scale)), whole.height];
+      const node = byId(id);
+      const made = edges.slice(1).map((end, i) => {
+        const piece = make("canvas", { className: "paper", width: whole.width, height: end - edges[i] });
+        const part = [whole.width, end - edges[i]];
+        piece.getContext("2d").drawImage(whole, 0, edges[i], ...part, 0, 0, ...part);
+        piece.setAttribute("role", "img");
+        piece.setAttribute("aria-label", node.getAttribute("aria-label"));
+        return piece;
+      });
+      node.after(...made);
+    };
+    if (chart) pieces("chart", chart, rows().filter((row, index) => row.track && index > 0).map((row) => row.y - 50));
+    for (const [id, each] of Object.entries(charts)) pieces(id, each, []);
+  }
+
+  const paperWidth = 960;
+  let opened = [];
+
+  function beforePrint() {
+    if (printing) return;
+    setPrinting(true);
+    opened = [...document.querySelectorAll("main details:not([open])")];
+    for (const details of opened) details.open = true;
+    draw();
+    putOnPaper();
+  }
+
+  function afterPrint() {
+    if (!printing) return;
+    for (const piece of document.querySelectorAll(".paper")) piece.remove();
+    for (const details of opened) details.open = false;
+    setPrinting(false);
+    draw();
+  }
+
+  function setPrinting(is) {
+    printing = is;
+    document.documentElement.classList.toggle("printing", is);
+    for (const node of document.querySelectorAll(".chart")) node.style.width = is ? `${paperWidth}px` : "";
+  }
+
   function drawTime() {
     paintKeys();
     const all = rows();
@@ -1240,15 +1301,17 @@
 
     const notes = body("time");
     if (!hasFrames && data.tracks.length === 0) notes.append(note("There is nothing to draw."));
-    else notes.append(note("Drag the slider, use the buttons, or hold Ctrl and turn the wheel, to zoom; the magnifier above the chart zooms into a stretch that is drawn with the mouse. All tracks follow."));
+    else notes.append(make("p", { className: "note on_screen" }, "Drag the slider, use the buttons, pinch, or hold Ctrl and turn the wheel, to zoom; the magnifier above the chart zooms into a stretch that is drawn with the mouse. All tracks follow."));
     if (outlierCount > 0 || data.bands.length > 0) notes.append(note("Marks are outliers, their colour and shape the cause; bands are throttling, each class in a lane below: filled where a sensor said so, hatched where it was inferred from the clock."));
     if (drawnCount < outlierCount)
       notes.append(note(`${drawnCount} of ${outlierCount} outliers are drawn, those that lost most time; all are in report.json and in timeline.json.`));
     for (const band of data.bands)
       if (band.closed !== null) notes.append(note(`${bandName(band)}: gaps up to ${band.closed} are closed in the drawing; the track shows them.`));
     for (const text of new Set(data.tracks.map((track) => track.note).filter(Boolean))) notes.append(note(text));
-    if (data.not_drawn.constant.length > 0)
-      notes.append(note(`Not drawn, as they never changed: ${data.not_drawn.constant.join(", ")}.`));
+    const still = data.not_drawn.constant;
+    if (still.length > 8)
+      notes.append(make("details", {}, make("summary", {}, `Not drawn, as they never changed: ${still.length} channels`), note(`${still.join(", ")}.`)));
+    else if (still.length > 0) notes.append(note(`Not drawn, as they never changed: ${still.join(", ")}.`));
     if (data.not_drawn.too_short.length > 0)
       notes.append(note(`Not drawn, as the run is too short for a rate: ${data.not_drawn.too_short.join(", ")}.`));
   }
@@ -1257,17 +1320,18 @@
     let width = 0;
     new ResizeObserver(() => {
       const now = byId("chart").clientWidth;
-      if (now === width) return;
+      if (now === width || printing) return;
       width = now;
       draw();
     }).observe(byId("chart"));
+    // The links of the navigation lead below it, however many lines it takes.
+    const nav = document.querySelector("nav");
+    new ResizeObserver(() => { document.documentElement.style.scrollPaddingTop = `${nav.offsetHeight + 8}px`; }).observe(nav);
     darkQuery.addEventListener("change", draw);
-    window.addEventListener("beforeprint", () => {
-      printing = true;
-      for (const details of document.querySelectorAll("main details")) details.open = true;
-      draw();
-    });
-    window.addEventListener("afterprint", () => { printing = false; draw(); });
+    window.addEventListener("beforeprint", beforePrint);
+    window.addEventListener("afterprint", afterPrint);
+    // ECharts takes every turn of the wheel for itself; without Ctrl it is for the page.
+    byId("chart").addEventListener("wheel", (event) => { if (!event.ctrlKey) event.stopPropagation(); }, { capture: true, passive: true });
   }
 
   fillTop();

@@ -414,6 +414,18 @@ TEST(Energy, CountersThatStandStillAreUnsupported) {
   EXPECT_TRUE(report.rows.front().joules_per_frame);
 }
 
+TEST(Energy, SaysOfTheMostTrustedSensorWhyNoneCanBeUsed) {
+  Machine machine(1);
+  machine.idle(2 * second);
+  machine.trace("m", 0, "A", 10, 5 * ms, 200);
+  machine.idle(2 * second);
+  Channel& still = machine.count("rapl.package-0.energy", ms, ms);
+  for (double& value : machine.run.series[still.id].value) value = 7;
+  Channel& gauge = machine.count("battery.bat0.energy", second, second);
+  gauge.kind = Kind::gauge;
+  EXPECT_THAT(machine.price().rows.at(0).refused, StartsWith("rapl.package-0.energy: "));
+}
+
 TEST(Energy, OfTheGpuLeadsAndOthersStandBeside) {
   Machine machine(7);
   study(machine, 5 * ms, 50);

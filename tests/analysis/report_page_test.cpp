@@ -52,13 +52,23 @@ RunRecord big_run(std::size_t frame_count, double slow_share) {
 }
 
 /// Uses the charts as a reader would, and writes what it saw into the page.
-constexpr const char* visitor = R"(<script>
+constexpr const char* visitor = R"page(<script>
 const chart = echarts.getInstanceByDom(document.getElementById("chart"));
 const data = JSON.parse(document.getElementById("data").textContent);
-const seen = {};
+const seen = { dark: matchMedia("(prefers-color-scheme: dark)").matches };
 const named = (node) => node.getAttribute("aria-label");
 seen.wide = [...document.querySelectorAll(".scroll")].filter((node) => node.scrollWidth > node.clientWidth + 1).map(named);
 seen.page_is_wide = document.documentElement.scrollWidth > window.innerWidth;
+const node = document.getElementById("chart");
+// As the browser tells of a mouse at that place of the chart.
+const mouse = (type, x, y, more) => {
+  const { left, top } = node.getBoundingClientRect();
+  const event = new (type === "wheel" ? WheelEvent : MouseEvent)(type,
+    { bubbles: true, cancelable: true, view: window, clientX: left + x, clientY: top + y, ...more });
+  node.querySelector("canvas").dispatchEvent(event);
+  return event.defaultPrevented;
+};
+const width_of_zoom = () => { const { start, end } = chart.getOption().dataZoom[0]; return end - start; };
 if (chart) {
   const option = chart.getOption();
   seen.series = option.series.map((series) => ({ name: series.name, points: series.data.length,
@@ -72,22 +82,33 @@ if (chart) {
   document.getElementById("zoom_all").click();
   seen.again = chart.getModel().getComponent("xAxis", 0).axis.scale.getExtent();
   document.getElementById("zoom_in").click();
-  const zoom = chart.getOption().dataZoom[0];
-  seen.half = zoom.end - zoom.start;
+  seen.half = width_of_zoom();
+  document.getElementById("zoom_all").click();
+  seen.wheel = { taken: mouse("wheel", 400, 120, { deltaY: -300 }), width: width_of_zoom() };
+  seen.ctrl_wheel_taken = mouse("wheel", 400, 120, { deltaY: -300, ctrlKey: true });
   const slow = option.series.find((series) => series.type === "scatter" && series.data.length > 0);
   if (slow) {
     seen.cause = slow.name;
     seen.channels = data.evidence.channels;
-    seen.tip = option.tooltip[0].formatter([{ axisValue: slow.data[0][0] }]).textContent;
+    document.getElementById("zoom_all").click();
+    mouse("mousemove", ...chart.convertToPixel({ xAxisIndex: 0, yAxisIndex: 0 }, slow.data[0]));
+    seen.tip = document.getElementById("chart").lastElementChild.textContent;
     document.getElementById("outlier_next").click();
     seen.walk = document.getElementById("outlier_text").textContent;
   }
+  window.dispatchEvent(new Event("beforeprint"));
+  seen.ink = chart.getOption().legend[0].textStyle.color;
+  seen.paper = [...document.querySelectorAll(".paper")].map((piece) => ({ section: piece.closest("section").id,
+    height: piece.height / piece.width, label: named(piece) }));
+  seen.closed_on_paper = document.querySelectorAll("main details:not([open])").length;
+  window.dispatchEvent(new Event("afterprint"));
+  seen.paper_left = document.querySelectorAll(".paper").length + document.querySelectorAll("main details[open]").length;
   seen.charts = ["scatter_chart", "pareto", "theory_chart"].filter((id) =>
     document.getElementById(id).querySelector("canvas"));
 }
 document.body.append(Object.assign(document.createElement("pre"), { id: "seen", textContent:
   btoa(String.fromCharCode(...new TextEncoder().encode(JSON.stringify(seen)))) }));
-</script></body>)";
+</script></body>)page";
 
 /// Opens the page in a browser; `visited` is what the visitor saw.
 class Browser : public testing::Test {
@@ -96,18 +117,20 @@ class Browser : public testing::Test {
     if (test::run({"chromium", "--version"}).code != 0) GTEST_SKIP() << "chromium is not installed";
   }
 
-  json visit(const std::string& page) {
+  /// `scheme`: what the reader's system prefers.
+  json visit(const std::string& page, const std::string& scheme = "light") {
     std::string visited = page;
     const std::size_t end = visited.rfind("</body>");
     visited.replace(end, 7, visitor);
     std::ofstream(dir_ / "report.html") << visited;
-    const test::Output output =
-        test::run({"timeout", "60", "chromium", "--headless", "--no-sandbox", "--disable-gpu",
-                   "--disable-quic", "--no-first-run", "--disable-background-networking",
-                   "--disable-component-update", "--disable-sync",
-                   "--user-data-dir=" + (dir_ / "browser").string(), "--enable-logging=stderr",
-                   "--window-size=1280,1200", "--virtual-time-budget=8000", "--dump-dom",
-                   "file://" + (dir_ / "report.html").string()});
+    const test::Output output = test::run(
+        {"timeout", "60", "chromium", "--headless", "--no-sandbox", "--disable-gpu",
+         "--disable-quic", "--no-first-run", "--disable-background-networking",
+         "--disable-component-update", "--disable-sync",
+         "--user-data-dir=" + (dir_ / "browser").string(), "--enable-logging=stderr",
+         "--window-size=1280,1200",
+         std::string("--blink-settings=preferredColorScheme=") + (scheme == "dark" ? "0" : "1"),
+         "--virtual-time-budget=8000", "--dump-dom", "file://" + (dir_ / "report.html").string()});
     EXPECT_EQ(output.code, 0) << output.err;
     std::istringstream log(output.err);
     for (std::string line; std::getline(log, line);)
@@ -170,6 +193,37 @@ TEST_F(Browser, ShowsOutliersByCauseOverThrottling) {
       << seen.at("tip");
   EXPECT_THAT(dom_, HasSubstr("Outliers and throttling"));
   EXPECT_THAT(seen.at("charts").dump(), HasSubstr("scatter_chart"));
+}
+
+TEST_F(Browser, LeavesTheWheelToThePageAndTakesItWithCtrl) {
+  const RunRecord run = planted::laptop_run();
+  const json seen = visit(report_html(run, analyze(run)));
+  ASSERT_TRUE(seen.contains("half")) << "the page's script stopped";
+  EXPECT_EQ(seen.at("wheel").at("taken"), false);
+  EXPECT_EQ(seen.at("wheel").at("width"), 100);
+  EXPECT_EQ(seen.at("ctrl_wheel_taken"), true);
+}
+
+TEST_F(Browser, PrintsChartsInPiecesThatFitAPageDarkOnLight) {
+  const RunRecord run = planted::laptop_run();
+  const std::string page = report_html(run, analyze(run));
+  const json light = visit(page);
+  const json dark = visit(page, "dark");
+  EXPECT_EQ(dark.at("dark"), true);
+  for (const json& seen : {light, dark}) {
+    ASSERT_TRUE(seen.contains("half")) << "the page's script stopped";
+    EXPECT_EQ(seen.at("ink"), "#1b2127") << "of the text on paper";
+    std::size_t pieces_over_time = 0;
+    for (const json& piece : seen.at("paper")) {
+      if (piece.at("section") == "time") ++pieces_over_time;
+      // A4 without margins of 1 cm is 1.46 times as high as wide.
+      EXPECT_LT(piece.at("height").get<double>(), 1.2) << piece;
+      EXPECT_FALSE(piece.at("label").get<std::string>().empty());
+    }
+    EXPECT_GT(pieces_over_time, 3u) << "one with the frames, and one for each track of sensors";
+    EXPECT_EQ(seen.at("closed_on_paper"), 0);
+    EXPECT_EQ(seen.at("paper_left"), 0);
+  }
 }
 
 TEST_F(Browser, TellsInferredThrottlingWithoutColours) {

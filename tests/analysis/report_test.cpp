@@ -1,9 +1,12 @@
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <png.h>
 
 #include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
+#include <random>
 #include <sstream>
 
 #include "analysis/report_html.h"
@@ -12,6 +15,7 @@
 #include "analysis/report_text.h"
 #include "page_data.h"
 #include "planted_run.h"
+#include "tests/sanitized.h"
 
 namespace energyprof::analysis {
 namespace {
@@ -231,7 +235,33 @@ TEST(ReportMd, SaysWhatAReaderNeeds) {
   EXPECT_THAT(page, HasSubstr("perf_event_paranoid is 3"));
   EXPECT_THAT(page, HasSubstr("W on average"));
   EXPECT_THAT(page, HasSubstr("of one core"));
-  EXPECT_THAT(page, HasSubstr("refused: "));
+  EXPECT_THAT(page, HasSubstr("No energy per frame is given, because "));
+}
+
+TEST(ReportMd, BeginsWithTheAnswer) {
+  const std::string page = md_of(planted::laptop_run());
+  EXPECT_LT(page.find("**GRID is best"), page.find("> **SIMULATED**"));
+}
+
+/// What stands there before anything is unfolded.
+std::string unfolded(std::string page) {
+  for (std::size_t begin; (begin = page.find("<details>")) != page.npos;) {
+    const std::size_t end = page.find("</details>", begin);
+    if (end == page.npos) return "a fold without end";
+    page.erase(begin, end + 10 - begin);
+  }
+  return page;
+}
+
+TEST(ReportMd, FoldsWhatIsNotPartOfTheAnswer) {
+  const std::string page = md_of(planted::laptop_run());
+  const std::string shown = unfolded(page);
+  EXPECT_THAT(shown, HasSubstr("## Ranking"));
+  EXPECT_THAT(shown, HasSubstr("## Cost of measuring"));
+  for (const char* folded : {"Frame times", "Work per ray", "What could not be seen", "Sensors"}) {
+    EXPECT_THAT(page, HasSubstr(std::string("<summary>") + folded));
+    EXPECT_THAT(shown, Not(HasSubstr(folded)));
+  }
 }
 
 TEST(ReportMd, TablesKeepTheirColumns) {
@@ -327,8 +357,8 @@ TEST(ReportHtml, PacksFramesWithoutLosingThem) {
 
 TEST(ReportHtml, FillsTheWholePage) {
   const std::string page = html_of(planted::laptop_run());
-  for (const char* name :
-       {"{{title}}", "{{style}}", "{{data}}", "{{echarts}}", "{{script}}", "{{licences}}"})
+  for (const char* name : {"{{title}}", "{{answer}}", "{{style}}", "{{data}}", "{{echarts}}",
+                           "{{script}}", "{{licences}}"})
     EXPECT_THAT(page, Not(HasSubstr(name)));
   EXPECT_THAT(page, HasSubstr("Licensed to the Apache Software Foundation"));
   EXPECT_THAT(page, HasSubstr("Baidu Inc."));
@@ -342,6 +372,19 @@ TEST(ReportHtml, HostileNamesStayText) {
   EXPECT_THAT(page, Not(HasSubstr("</script><b>")));
   EXPECT_EQ(count_of(page, "</script>"), 3u) << "data, ECharts and our own script";
   EXPECT_EQ(data_of(page).at("report").at("cells").at(6).at("model"), "teapot </script><b>");
+}
+
+TEST(ReportHtml, GivesTheAnswerWithoutScripts) {
+  const RunRecord run = planted::laptop_run();
+  const std::string page = html_of(run);
+  std::size_t at = 0;
+  for (const std::string& sentence : answer_text(analyze(run))) {
+    const std::size_t found = page.find("<p>" + sentence + "</p>");
+    ASSERT_NE(found, page.npos) << sentence;
+    EXPECT_GT(found, at);
+    at = found;
+  }
+  EXPECT_LT(at, page.find("<nav"));
 }
 
 TEST(ReportHtml, ImagesAreEmbedded) {
@@ -361,6 +404,34 @@ TEST(ReportHtml, ImagesThatDoNotFitAreNamed) {
   ASSERT_EQ(data.at("images").size(), 2u);
   EXPECT_EQ(data.at("images").at(0).at("title"), "m_view0_reference") << "before heat maps";
   EXPECT_EQ(data.at("images_left_out"), json({"images/m_view0_GRID_heat.png"}));
+}
+
+TEST(ReportHtml, ShowsEveryPictureOfAFullStudy) {
+  // 3 models, 3 views, 6 algorithms and the reference: noise, which packs worse than any heat map.
+  std::mt19937 random(1);
+  std::vector<uint8_t> rgb;
+  const uint32_t width = test::is_sanitized ? 160 : 640;
+  const uint32_t height = width * 9 / 16;
+  for (uint32_t i = 0; i < 3 * width * height; ++i)
+    rgb.push_back(static_cast<uint8_t>(random() % 64));
+  png_image image{};
+  image.version = PNG_IMAGE_VERSION;
+  image.width = width;
+  image.height = height;
+  image.format = PNG_FORMAT_RGB;
+  png_alloc_size_t bytes = 0;
+  png_image_write_to_memory(&image, nullptr, &bytes, 0, rgb.data(), 0, nullptr);
+  std::string picture(bytes, '\0');
+  png_image_write_to_memory(&image, picture.data(), &bytes, 0, rgb.data(), 0, nullptr);
+  std::vector<ReportImage> images;
+  for (int i = 0; i < 63; ++i)
+    images.push_back({fmt::format("m{}_view{}_A{}_heat", i / 21, i / 7 % 3, i % 7), picture});
+  const std::string page = html_of(planted::laptop_run(), images);
+  EXPECT_LT(page.size(), 3'000'000u);
+  const json data = data_of(page);
+  EXPECT_EQ(data.at("images").size(), 63u);
+  EXPECT_EQ(data.at("images_left_out"), json::array());
+  EXPECT_EQ(data.at("images").at(8).at("file"), "images/m0_view1_A1_heat.png");
 }
 
 TEST(ReportHtml, HeatMapsStandBesideTheirReferenceImage) {
@@ -527,6 +598,7 @@ TEST(ReportMd, OfABigStudyFitsAPullRequest) {
   builder.run.meta["missing_sensors"] = missing.dump();
   const std::string page = md_of(builder.run);
   EXPECT_LT(page.size(), 20'000u);
+  EXPECT_LT(unfolded(page).size(), 6'000u);
   EXPECT_THAT(page, HasSubstr("more are in report.html and report.json"));
   EXPECT_THAT(page, HasSubstr("| dragon | 3 | "));
   std::istringstream lines(page);
