@@ -104,6 +104,7 @@ json channel_json(const ProbedChannel& probed) {
          {"gpu", channel.gpu.empty() ? json(nullptr) : json(channel.gpu)},
          {"origin", channel.origin}};
   if (channel.limit) j["limit"] = *channel.limit;
+  if (channel.wrap_at) j["wrap_at"] = *channel.wrap_at;
   return j;
 }
 

@@ -1012,6 +1012,11 @@ TEST_F(Program, ProbeJsonHasTheContractsFields) {
     for (const char* key : {"name", "source", "quantity", "unit", "kind", "value", "period_ns",
                             "read_cost_ns", "origin"})
       EXPECT_TRUE(channel.contains(key)) << channel;
+  const auto package =
+      std::find_if(probe["channels"].begin(), probe["channels"].end(),
+                   [](const json& channel) { return channel["name"] == "rapl.package-0.energy"; });
+  ASSERT_NE(package, probe["channels"].end());
+  EXPECT_EQ((*package)["wrap_at"], 262'143'328'850);
   for (const json& missing : probe["missing"])
     for (const char* key : {"source", "reason", "fix"})
       EXPECT_TRUE(missing.contains(key)) << missing;
