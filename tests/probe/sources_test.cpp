@@ -166,7 +166,7 @@ TEST(Powercap, TakesTheLowestLimitThatIsInForce) {
 TEST(Powercap, ExplainsWhyThereIsNone) {
   const Tree machine{{"proc/cpuinfo", "vendor_id\t: GenuineIntel\nflags\t: fpu vme\n"}};
   EXPECT_THAT(discover_only(machine.root(), "powercap").missing,
-              missing_because("no RAPL zone", "sudo modprobe intel_rapl_msr"));
+              missing_because("on that machine: sudo modprobe intel_rapl_msr", ""));
   const Tree guest{{"proc/cpuinfo", "vendor_id\t: GenuineIntel\nflags\t: fpu hypervisor\n"}};
   const Discovery in_guest = discover_only(guest.root(), "powercap");
   ASSERT_THAT(in_guest.missing, SizeIs(1));
@@ -175,7 +175,7 @@ TEST(Powercap, ExplainsWhyThereIsNone) {
   const Tree container;
   container.link(rapl + "intel-rapl:0", "../../devices/virtual/powercap/intel-rapl/intel-rapl:0");
   EXPECT_THAT(discover_only(container.root(), "powercap").missing,
-              missing_because("mask", "systempaths=unconfined"));
+              missing_because("mask it; on that machine: docker run --security-opt", ""));
 }
 
 const std::string chips = "sys/class/hwmon/";
@@ -408,7 +408,7 @@ TEST(Psi, ReadsTotalsAndSaysWhenItIsOff) {
                   {"proc/pressure/io", lines}};
   const Discovery found = discover_only(tree.root({{"proc/pressure/io", EOPNOTSUPP}}), "psi");
   EXPECT_THAT(names_of(found), ElementsAre("psi.cpu.some"));
-  EXPECT_THAT(found.missing, missing_because("not supported", "psi=1"));
+  EXPECT_THAT(found.missing, missing_because("not supported; on that machine: boot with psi=1", ""));
   EXPECT_THAT(found.missing, missing_because("no line with 'total='", ""));
   const Discovery all = discover_only(tree.root(), "psi");
   EXPECT_THAT(names_of(all), ElementsAre("psi.cpu.some", "psi.io.some", "psi.io.full"));
