@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cerrno>
 #include <iterator>
 #include <set>
 #include <stdexcept>
@@ -136,6 +137,24 @@ Missing not_below_a_root(const Row& row, const Root& root) {
   return missing;
 }
 
+// Directories that sources look into: without permission they find nothing there.
+void report_forbidden(const Root& root, const Selection& selection, Discovery& discovery) {
+  constexpr std::array<std::pair<std::string_view, std::string_view>, 7> directories{
+      {{"powercap", "sys/class/powercap"},
+       {"hwmon", "sys/class/hwmon"},
+       {"thermal", "sys/class/thermal"},
+       {"cpufreq", "sys/devices/system/cpu"},
+       {"devfreq", "sys/class/devfreq"},
+       {"battery", "sys/class/power_supply"},
+       {"amdgpu", "sys/class/drm"}}};
+  for (const auto& [source, path] : directories)
+    if (is_selected(selection, source) && root.list_error(path) == EACCES)
+      discovery.missing.push_back(
+          {std::string(source),
+           fmt::format("cannot list '{}': {}", root.display(path), errno_text(EACCES)),
+           "sudo chmod a+rx " + root.display(path)});
+}
+
 // A command that changes no file below the root would change the machine that runs, not the one
 // that the files are of.
 void withdraw_fix(Missing& missing, const Root& root) {
@@ -201,6 +220,7 @@ Discovery discover(const Root& root, const Selection& selection) {
     else
       row.discover(root, selection, discovery);
   }
+  report_forbidden(root, selection, discovery);
   if (!root.is_host())
     for (Missing& missing : discovery.missing) withdraw_fix(missing, root);
   number_channels(discovery);

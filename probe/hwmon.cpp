@@ -161,28 +161,55 @@ std::string device_of(const Root& root, const std::string& chip, const std::stri
   return name == "class" ? entry : name;
 }
 
-std::vector<Chip> list_chips(const Root& root) {
+// Where a chip is listed.
+struct Entry {
+  std::string path;
+  std::string gpu;  // whose it is, where only the card's own directory has it
+};
+
+// Entries of the class; and of cards' own directories, which copies may have alone.
+std::vector<Entry> list_entries(const Root& root) {
+  std::vector<Entry> entries;
+  const std::vector<std::string> in_class = root.list(class_dir);
+  for (const std::string& name : in_class)
+    entries.push_back({fmt::format("{}/{}", class_dir, name), {}});
+  for (const DrmCard& card : list_drm_cards(root)) {
+    const std::string parent = card.path + "/device/hwmon";
+    for (const std::string& name : root.list(parent))
+      if (std::find(in_class.begin(), in_class.end(), name) == in_class.end())
+        entries.push_back({fmt::format("{}/{}", parent, name), card.gpu});
+  }
+  return entries;
+}
+
+std::vector<Chip> list_chips(const Root& root, Discovery& discovery) {
   std::vector<Chip> chips;
   std::map<std::string, int> name_count;
   std::set<std::string> known;  // resolved paths
-  for (const std::string& entry : root.list(class_dir)) {
-    const std::string in_class = fmt::format("{}/{}", class_dir, entry);
-    const std::string device = in_class + "/device";
-    std::optional<std::string> name = root.read_line(in_class + "/name");
+  for (const auto& [path, gpu] : list_entries(root)) {
+    const std::string entry = path.substr(path.rfind('/') + 1);
+    const std::string device = path + "/device";
+    std::optional<std::string> name = root.read_line(path + "/name");
     if (!name) name = root.read_line(device + "/name");
-    if (!name && root.list(in_class).empty()) continue;
-    if (!known.insert(root.resolve(in_class).path).second) continue;
+    if (!name && root.list(path).empty()) {
+      if (const int error = root.list_error(path); error == EACCES)
+        discovery.missing.push_back(
+            {"hwmon", fmt::format("cannot enter '{}': {}", root.display(path), errno_text(error)),
+             ""});
+      continue;
+    }
+    if (!known.insert(root.resolve(path).path).second) continue;
     Chip chip;
-    chip.path = files_of(root, in_class);
-    chip.device = device_of(root, in_class, entry);
+    chip.path = files_of(root, path);
+    chip.device = device_of(root, path, entry);
     chip.name = name.value_or(chip.device);
     chip.id = slug(chip.name);
     chip.is_supply = root.exists(fmt::format("{}/{}", supply_dir, chip.device));
     // A card of the kernel's has its chips at the same device, whatever they are called: i915_gt0.
     const bool is_gpu =
         std::find(gpu_chips.begin(), gpu_chips.end(), chip.name) != gpu_chips.end() ||
-        root.exists(device + "/drm");
-    if (is_gpu) chip.traits.gpu = gpu_of_device(root, device);
+        root.exists(device + "/drm") || !gpu.empty();
+    if (is_gpu) chip.traits.gpu = gpu.empty() ? gpu_of_device(root, device) : gpu;
     chip.traits.wakes_device = is_gpu && may_sleep(root, device);
     if (is_gpu && chip.traits.gpu.empty() && chip.device != entry) chip.traits.gpu = chip.device;
     chip.traits.slow = is_gpu || is_i2c_address(chip.device) || is_one_of(chip.name, slow_chips) ||
@@ -519,9 +546,10 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
 }  // namespace
 
 void discover_hwmon(const Root& root, Discovery& discovery) {
-  const std::vector<Chip> chips = list_chips(root);
+  const size_t missing_before = discovery.missing.size();
+  const std::vector<Chip> chips = list_chips(root, discovery);
   const size_t iio_rail_count = discover_iio_rails(root, discovery);
-  if (chips.empty() && iio_rail_count == 0)
+  if (chips.empty() && iio_rail_count == 0 && discovery.missing.size() == missing_before)
     discovery.missing.push_back(
         {"hwmon",
          fmt::format("no hardware monitoring chip in '{}'; usual in a virtual machine",

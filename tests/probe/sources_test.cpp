@@ -117,6 +117,32 @@ TEST(Powercap, GivesTheCommandThatOpensForbiddenCounters) {
   EXPECT_EQ(found.missing[0].fix, "sudo chmod a+r " + package + " " + core);
 }
 
+TEST(Discover, SaysWhichDirectoriesItMayNotLookInto) {
+  const Tree tree{{rapl + "intel-rapl:0/name", "package-0\n"},
+                  {rapl + "intel-rapl:0/energy_uj", "1\n"},
+                  {rapl + "intel-rapl:1/name", "psys\n"},
+                  {rapl + "intel-rapl:1/energy_uj", "2\n"},
+                  {"sys/class/hwmon/hwmon0/name", "coretemp\n"},
+                  {"sys/class/hwmon/hwmon0/temp1_input", "40000\n"},
+                  {"sys/class/thermal/thermal_zone0/temp", "40000\n"}};
+  const auto permit = [&](std::filesystem::perms permissions) {
+    for (const char* directory : {"powercap/intel-rapl:0", "hwmon/hwmon0", "thermal"})
+      std::filesystem::permissions(tree.path() + "/sys/class/" + directory, permissions);
+  };
+  permit(std::filesystem::perms::none);
+  const Discovery found = [&] {
+    const Unprivileged unprivileged;
+    return discover(tree.root(), Selection{{"powercap", "hwmon", "thermal"}});
+  }();
+  permit(std::filesystem::perms::owner_all);  // for who removes the tree
+  EXPECT_THAT(names_of(found), ElementsAre("rapl.psys.energy"));
+  EXPECT_THAT(found.missing,
+              missing_because("cannot enter '" + tree.path() + "/" + rapl + "intel-rapl:0'", ""));
+  EXPECT_THAT(found.missing, missing_because("hwmon0': Permission denied", ""));
+  EXPECT_THAT(found.missing, missing_because("cannot list", "sudo chmod a+rx " + tree.path() +
+                                                                "/sys/class/thermal"));
+}
+
 TEST(Powercap, SaysWhatIsWrongWithAZone) {
   const Tree tree{{rapl + "intel-rapl:0/name", "package-0\n"},
                   {rapl + "intel-rapl:0/energy_uj", "99999999999999999999\n"},
@@ -288,6 +314,20 @@ TEST(Hwmon, LeavesThePowerOfABatteryToTheBattery) {
   const Discovery found = discover_only(tree.root(), "hwmon");
   EXPECT_THAT(names_of(found), ElementsAre("hwmon.qcom_battmgr_bat.temp1.temp"));
   EXPECT_THAT(found.missing, missing_because("the source battery", ""));
+}
+
+TEST(Hwmon, FindsTheChipOfACardInACopyWithoutTheClass) {
+  const std::string chip = "sys/class/drm/card1/device/hwmon/hwmon6/";
+  const Tree tree{{"sys/class/drm/card1/device/uevent", "PCI_SLOT_NAME=0000:03:00.0\n"},
+                  {chip + "name", "amdgpu\n"},
+                  {chip + "temp1_input", "41000\n"}};
+  Discovery found = discover_only(tree.root(), "hwmon");
+  EXPECT_THAT(names_of(found), ElementsAre("hwmon.amdgpu.temp1.temp"));
+  EXPECT_EQ(found.sources.front()->traits().gpu, "0000:03:00.0");
+  // A copy that followed the links has it twice.
+  tree.write({{chips + "hwmon6/name", "amdgpu\n"}, {chips + "hwmon6/temp1_input", "41000\n"}});
+  EXPECT_THAT(names_of(discover_only(tree.root(), "hwmon")),
+              ElementsAre("hwmon.amdgpu.temp1.temp"));
 }
 
 TEST(Hwmon, ListsAChipOnceThatTheClassHasTwice) {
