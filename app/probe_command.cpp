@@ -230,6 +230,7 @@ std::string range_text(const Line& line, Value value_of) {
   if (*low == *high) return shown(*low);
   std::string from = shown(*low);
   const std::string to = shown(*high);
+  if (from == to) return to;
   const size_t unit_at = from.find(' ');
   if (unit_at != std::string::npos && to.ends_with(from.substr(unit_at))) from.resize(unit_at);
   return fmt::format("{} to {}", from, to);
