@@ -178,11 +178,13 @@ std::string wrapped(std::string_view text, size_t indent) {
   return result;
 }
 
-/// "coretemp.core_12.temp" -> "coretemp.core_*.temp"
+/// "coretemp.core_12.temp" -> "coretemp.core_*.temp"; behind an @ stands which device it is.
 std::string without_numbers(std::string_view name) {
   std::string pattern;
+  bool is_device = false;
   for (size_t i = 0; i < name.size(); ++i) {
-    if (std::isdigit(static_cast<unsigned char>(name[i])) == 0)
+    is_device = name[i] == '@' || (is_device && name[i] != '.');
+    if (is_device || std::isdigit(static_cast<unsigned char>(name[i])) == 0)
       pattern += name[i];
     else if (pattern.empty() || pattern.back() != '*')
       pattern += '*';

@@ -644,6 +644,24 @@ TEST_F(Program, ProbeFitsAPageAndFoldsCores) {
               HasSubstr("hwmon.coretemp.core_27.temp"));
 }
 
+TEST_F(Program, ProbeFoldsNoTwoDevicesIntoOneLine) {
+  const fs::path root = out() / "tree";
+  for (const std::string chip : {"0", "1"}) {
+    const fs::path device = root / "sys/devices" / ("coretemp." + chip);
+    const fs::path files = device / "hwmon" / ("hwmon" + chip);
+    fs::create_directories(files);
+    std::ofstream(files / "name") << "coretemp\n";
+    for (int i = 1; i <= 4; ++i)
+      std::ofstream(files / ("temp" + std::to_string(i) + "_input")) << "50000\n";
+    fs::create_directories(root / "sys/class/hwmon");
+    fs::create_directory_symlink("../../devices/coretemp." + chip + "/hwmon/hwmon" + chip,
+                                 root / "sys/class/hwmon" / ("hwmon" + chip));
+  }
+  EXPECT_THAT(program({"probe", "--root", root.string()}).out,
+              AllOf(HasSubstr("hwmon.coretemp@coretemp_0.temp*.temp (4)"),
+                    HasSubstr("hwmon.coretemp@coretemp_1.temp*.temp (4)")));
+}
+
 // ---------------------------------------------------------------------------- failing devices
 
 Environment fault(const std::string& what) {
