@@ -519,7 +519,7 @@ std::string command_headline(const Analysis& analysis) {
   const std::vector<Reading> rows = readings(analysis);
   const auto first = [&](Quantity quantity) {
     return std::find_if(rows.begin(), rows.end(),
-                        [&](const Reading& row) { return row.quantity == quantity; });
+                        [&](const Reading& row) { return row.quantity == quantity && row.is_use; });
   };
   // Where nothing counts energy, power tells most of it.
   const bool has_energy = first(Quantity::energy) != rows.end();

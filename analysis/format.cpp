@@ -42,6 +42,7 @@ std::string scaled_stored(double value, std::string_view stored_unit) {
     case Unit::permille:
       return fmt::format("{:.1f} %", value * 0.1);
     case Unit::celsius:
+    case Unit::centicelsius:
     case Unit::millicelsius:
       return fmt::format("{:.1f} °C", value * info.to_si);
     default:

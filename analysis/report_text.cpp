@@ -141,7 +141,9 @@ std::vector<Reading> readings(const Analysis& analysis) {
   std::vector<Reading> rows;
   for (const auto& [quantity, sensors] : speakers) {
     for (std::size_t i = 0; i < std::min(sensors.size(), most_lines); ++i)
-      rows.push_back({quantity, sensors[i]->channel.name, values_text(*sensors[i])});
+      rows.push_back(
+          {quantity, sensors[i]->channel.name, values_text(*sensors[i]),
+           quantity != Quantity::energy || sensors[i]->channel.kind == Kind::cumulative});
     if (sensors.size() > most_lines)
       rows.push_back({quantity, counted(sensors.size() - most_lines, "more channel"),
                       "in the table of sensors"});

@@ -28,6 +28,7 @@ struct Reading {
   Quantity quantity = Quantity::energy;
   std::string channel;  ///< its name, or how many channels the line is about
   std::string text;
+  bool is_use = true;  ///< not so of energy that is left, in a battery
 };
 
 /// What the sensors showed over the run, without limits: the hottest temperatures, the flags that

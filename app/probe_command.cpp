@@ -110,6 +110,7 @@ json channel_json(const ProbedChannel& probed) {
          {"gpu", channel.gpu.empty() ? json(nullptr) : json(channel.gpu)},
          {"origin", channel.origin}};
   if (channel.limit) j["limit"] = *channel.limit;
+  if (channel.wrap_at) j["wrap_at"] = *channel.wrap_at;
   return j;
 }
 
@@ -155,11 +156,13 @@ std::string on_page(std::string_view text, size_t indent) {
   return wrapped(text, indent, page_width);
 }
 
-/// "coretemp.core_12.temp" -> "coretemp.core_*.temp"
+/// "coretemp.core_12.temp" -> "coretemp.core_*.temp"; behind an @ stands which device it is.
 std::string without_numbers(std::string_view name) {
   std::string pattern;
+  bool is_device = false;
   for (size_t i = 0; i < name.size(); ++i) {
-    if (std::isdigit(static_cast<unsigned char>(name[i])) == 0)
+    is_device = name[i] == '@' || (is_device && name[i] != '.');
+    if (is_device || std::isdigit(static_cast<unsigned char>(name[i])) == 0)
       pattern += name[i];
     else if (pattern.empty() || pattern.back() != '*')
       pattern += '*';
@@ -207,6 +210,7 @@ std::string range_text(const Line& line, Value value_of) {
   if (*low == *high) return shown(*low);
   std::string from = shown(*low);
   const std::string to = shown(*high);
+  if (from == to) return to;
   const size_t unit_at = from.find(' ');
   if (unit_at != std::string::npos && to.ends_with(from.substr(unit_at))) from.resize(unit_at);
   return fmt::format("{} to {}", from, to);

@@ -108,9 +108,9 @@ class ClockSource final : public SensorSource {
 
   void poll(std::span<Reading> out) noexcept override {
     size_t next = 0;
-    for (TextFile& file : files_.clocks) out[next++] = file.read_int();
+    for (TextFile& file : files_.clocks) out[next++] = read_clock(file);
     if (!files_.max) return;
-    const Reading max = files_.max->read_int();
+    const Reading max = read_clock(*files_.max);
     out[next++] = max;
     if (next == out.size()) return;
     out[next] = max;
@@ -118,6 +118,12 @@ class ClockSource final : public SensorSource {
   }
 
  private:
+  static Reading read_clock(TextFile& file) noexcept {
+    Reading reading = file.read_int();
+    if (reading.status == PollStatus::ok && reading.value < 0) reading.status = PollStatus::retry;
+    return reading;
+  }
+
   Files files_;
 };
 
@@ -126,16 +132,20 @@ class LoadSource final : public SensorSource {
  public:
   LoadSource(Channel channel, TextFile file, SourceTraits traits)
       : SensorSource("devfreq", stat_period_ns, {std::move(channel)}, std::move(traits)),
+        plausible_(plausible_values(channels().front())),
         file_(std::move(file)) {}
 
   void poll(std::span<Reading> out) noexcept override {
     std::array<char, 64> buffer;
     const TextFile::Read read = file_.read(buffer);
     std::string_view text = read.text;
-    out[0] = read.reading(read.error == 0 ? take_int(text) : std::nullopt);
+    std::optional<int64_t> load = read.error == 0 ? take_int(text) : std::nullopt;
+    if (load && !plausible_.has(*load)) load.reset();
+    out[0] = read.reading(load);
   }
 
  private:
+  Plausible plausible_;
   TextFile file_;
 };
 
@@ -183,6 +193,13 @@ void discover_clocks(const Root& root, const std::string& device, const std::str
     CheckedFile checked = check_int_file(root, fmt::format("{}/{}", device, file));
     if (!checked.problem.empty()) {
       if (checked.error != ENOENT) discovery.missing.push_back({"devfreq", checked.problem, ""});
+      continue;
+    }
+    if (checked.value.value_or(0) < 0) {
+      discovery.missing.push_back(
+          {"devfreq",
+           fmt::format("'{}' reads {} Hz, which cannot be", checked.file.path(), *checked.value),
+           ""});
       continue;
     }
     const bool is_limit = std::string_view(file) == "max_freq";
@@ -299,6 +316,11 @@ void discover_kgsl(const Root& root, Discovery& discovery) {
     const std::string prefix = "devfreq." + slug(entry);
     std::string gpu = gpu_of_device(root, device + "/device");
     const SourceTraits traits{.gpu = gpu.empty() ? entry : std::move(gpu)};
+    // Its clock is in the other class, too, where Android's kernel has that.
+    const bool has_clock =
+        std::any_of(discovery.sources.begin(), discovery.sources.end(), [&](const auto& source) {
+          return source->name() == "devfreq" && source->traits().gpu == traits.gpu;
+        });
     std::vector<FileChannel> clocks;
     std::vector<FileChannel> limits;
     std::vector<FileChannel> heat;
@@ -311,7 +333,8 @@ void discover_kgsl(const Root& root, Discovery& discovery) {
     };
     const auto allowed = check_int_file(root, device + "/max_gpuclk").value;
     const auto highest = highest_listed(root, device + "/gpu_available_frequencies");
-    add(clocks, "freq", Quantity::frequency, Unit::hertz, highest ? highest : allowed, "gpuclk");
+    if (!has_clock)
+      add(clocks, "freq", Quantity::frequency, Unit::hertz, highest ? highest : allowed, "gpuclk");
     add(limits, "max_freq", Quantity::limit, Unit::hertz, highest, "max_gpuclk");
     add(heat, "temp", Quantity::temperature, Unit::millicelsius, std::nullopt, "temp");
     add_file_source(discovery, "devfreq", clock_period_ns, std::move(clocks), traits);

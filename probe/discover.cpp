@@ -5,6 +5,8 @@
 
 #include <algorithm>
 #include <array>
+#include <cerrno>
+#include <iterator>
 #include <set>
 #include <stdexcept>
 #include <utility>
@@ -38,6 +40,8 @@ struct Row {
   std::string_view name;
   void (*discover)(const Root&, const Selection&, Discovery&);
   bool host_only = false;  // asks the running kernel or a driver, not files below a root
+  // What files below a root say that the kernel there would count.
+  std::vector<ChannelPlan> (*plan)(const Root&, Discovery&) = nullptr;
 };
 
 // For sources to which it is all one how they were selected.
@@ -46,16 +50,25 @@ void plain(const Root& root, const Selection&, Discovery& discovery) {
   discover_source(root, discovery);
 }
 
+// Plans of all GPUs.
+template <std::vector<GpuPlan> (*plan_gpus)(const Root&, Discovery&)>
+std::vector<ChannelPlan> plan_all(const Root& root, Discovery& discovery) {
+  std::vector<ChannelPlan> plans;
+  for (GpuPlan& gpu : plan_gpus(root, discovery))
+    std::move(gpu.plans.begin(), gpu.plans.end(), std::back_inserter(plans));
+  return plans;
+}
+
 // In this order: of several ways to the same counter, the first one found is recorded.
 // clang-format off
 constexpr std::array rows{
-    Row{"perf_rapl", plain<discover_perf_rapl>, true},
+    Row{"perf_rapl", plain<discover_perf_rapl>, true, plan_perf_rapl},
     Row{"powercap", plain<discover_powercap>},
     Row{"msr", discover_msr},
     Row{"i915", plain<discover_i915>},
-    Row{"i915_pmu", plain<discover_i915_pmu>, true},
+    Row{"i915_pmu", plain<discover_i915_pmu>, true, plan_all<plan_i915_pmu>},
     Row{"xe", plain<discover_xe>},
-    Row{"xe_pmu", plain<discover_xe_pmu>, true},
+    Row{"xe_pmu", plain<discover_xe_pmu>, true, plan_all<plan_xe_pmu>},
     Row{"amdgpu", plain<discover_amdgpu>},
     Row{"nvml", discover_nvml, true},
     Row{"hwmon", plain<discover_hwmon>},
@@ -71,7 +84,7 @@ constexpr std::array rows{
     Row{"cgroup", plain<discover_cgroup>},
     Row{"schedstat", discover_schedstat, true},
     Row{"perf", discover_perf_events, true},
-    Row{"uncore", plain<discover_uncore>, true},
+    Row{"uncore", plain<discover_uncore>, true, plan_uncore},
 };
 // clang-format on
 
@@ -101,19 +114,63 @@ void number_channels(Discovery& discovery) {
     }
 }
 
-// Names of the channels that `wanted` picks: the first three, then how many more.
-template <class Predicate>
-std::string names_where(const Discovery& discovery, Predicate wanted) {
+// The first three, then how many more.
+std::string first_of(std::vector<std::string> names) {
   constexpr size_t shown = 3;
-  std::vector<std::string> names;
-  for (const auto& source : discovery.sources)
-    for (const Channel& channel : source->channels())
-      if (wanted(channel)) names.push_back(channel.name);
   const size_t more = names.size() > shown ? names.size() - shown : 0;
   names.resize(names.size() - more);
   std::string text = fmt::format("{}", fmt::join(names, ", "));
   if (more > 0) text += fmt::format(" and {} more", more);
   return text;
+}
+
+// Why a source that asks the running kernel tells nothing of what lies below a root.
+Missing not_below_a_root(const Row& row, const Root& root) {
+  Missing missing{std::string(row.name), "not under --root: not read from files", ""};
+  if (row.plan == nullptr) return missing;
+  Discovery discovery;
+  std::vector<std::string> names;
+  for (ChannelPlan& plan : row.plan(root, discovery)) names.push_back(std::move(plan.channel.name));
+  if (!names.empty())
+    missing.reason +=
+        fmt::format("; on that machine perf may count {}", first_of(std::move(names)));
+  return missing;
+}
+
+// Directories that sources look into: without permission they find nothing there.
+void report_forbidden(const Root& root, const Selection& selection, Discovery& discovery) {
+  constexpr std::array<std::pair<std::string_view, std::string_view>, 7> directories{
+      {{"powercap", "sys/class/powercap"},
+       {"hwmon", "sys/class/hwmon"},
+       {"thermal", "sys/class/thermal"},
+       {"cpufreq", "sys/devices/system/cpu"},
+       {"devfreq", "sys/class/devfreq"},
+       {"battery", "sys/class/power_supply"},
+       {"amdgpu", "sys/class/drm"}}};
+  for (const auto& [source, path] : directories)
+    if (is_selected(selection, source) && root.list_error(path) == EACCES)
+      discovery.missing.push_back(
+          {std::string(source),
+           fmt::format("cannot list '{}': {}", root.display(path), errno_text(EACCES)),
+           "sudo chmod a+rx " + root.display(path)});
+}
+
+// A command that changes no file below the root would change the machine that runs, not the one
+// that the files are of.
+void withdraw_fix(Missing& missing, const Root& root) {
+  if (missing.fix.empty() || missing.fix.find(root.directory()) != std::string::npos) return;
+  missing.reason += fmt::format("; on that machine: {}", missing.fix);
+  missing.fix.clear();
+}
+
+// Names of the channels that `wanted` picks.
+template <class Predicate>
+std::string names_where(const Discovery& discovery, Predicate wanted) {
+  std::vector<std::string> names;
+  for (const auto& source : discovery.sources)
+    for (const Channel& channel : source->channels())
+      if (wanted(channel)) names.push_back(channel.name);
+  return first_of(std::move(names));
 }
 
 // A question a study may ask, and the channels that answer it.
@@ -159,11 +216,13 @@ Discovery discover(const Root& root, const Selection& selection) {
   for (const Row& row : rows) {
     if (!is_selected(selection, row.name)) continue;
     if (row.host_only && !root.is_host())
-      discovery.missing.push_back(
-          {std::string(row.name), "not under --root: not read from files", ""});
+      discovery.missing.push_back(not_below_a_root(row, root));
     else
       row.discover(root, selection, discovery);
   }
+  report_forbidden(root, selection, discovery);
+  if (!root.is_host())
+    for (Missing& missing : discovery.missing) withdraw_fix(missing, root);
   number_channels(discovery);
   return discovery;
 }
@@ -183,6 +242,8 @@ std::string verdict(const Discovery& discovery) {
   };
   std::string line = can.empty() ? "Nothing but frame times can be measured here"
                                  : fmt::format("Can be measured here: {}", fmt::join(can, "; "));
+  // Energy over time is power.
+  if (!lacks("energy")) std::erase(cannot, "power");
   if (!cannot.empty()) line += fmt::format(". Cannot: {}", fmt::join(cannot, ", "));
   if (lacks("energy") && lacks("power"))
     line += ". A study ranks by time only; joules per ray will be refused";

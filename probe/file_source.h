@@ -1,6 +1,8 @@
 /// A source whose channels are one file with one integer each.
 #pragma once
 
+#include <cstdint>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -13,15 +15,27 @@ namespace energyprof::probe {
 /// set; limits beyond them, as drives give 65261 C, are none.
 inline constexpr int64_t lowest_temp_mc = -40'000;
 inline constexpr int64_t highest_temp_mc = 200'000;
-constexpr bool is_plausible_temp(int64_t temp_mc) {
-  return temp_mc >= lowest_temp_mc && temp_mc <= highest_temp_mc;
-}
+
+/// What can be a value of a channel: no clock and no counter is negative, no share above 1, no
+/// flag above 1.
+struct Plausible {
+  int64_t lowest = std::numeric_limits<int64_t>::min();
+  int64_t highest = std::numeric_limits<int64_t>::max();
+  bool is_temp_mc = false;
+
+  [[nodiscard]] constexpr bool has(int64_t value) const {
+    if (value < lowest || value > highest) return false;
+    // Zones that are not set and inputs where nothing is connected say exactly 0 C, or the most
+    // that eight bits hold.
+    return !is_temp_mc || (value != 0 && value != 127'000 && value != 127'500);
+  }
+};
+Plausible plausible_values(const Channel& channel);
 
 /// A channel and the file its value comes from.
 struct FileChannel {
   Channel channel;
   TextFile file;
-  bool (*is_value)(int64_t) = nullptr;  ///< whether a number is a sample; null: all are
 };
 
 class FileSource final : public SensorSource {
@@ -33,7 +47,7 @@ class FileSource final : public SensorSource {
  private:
   struct File {
     TextFile file;
-    bool (*is_value)(int64_t);
+    Plausible plausible;
   };
   std::vector<File> files_;
 };
@@ -43,7 +57,8 @@ class FileSource final : public SensorSource {
 void add_file_row(const Root& root, Discovery& discovery, std::string source,
                   std::vector<FileChannel>& rows, Channel channel, std::string_view path);
 
-/// Adds a FileSource of these rows to `discovery`; nothing for no rows.
+/// Adds a FileSource of these rows to `discovery`; nothing for no rows. A row whose file holds what
+/// cannot be a value of it becomes a Missing.
 void add_file_source(Discovery& discovery, std::string name, int64_t period_ns,
                      std::vector<FileChannel> rows, SourceTraits traits = {});
 

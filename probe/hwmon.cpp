@@ -13,6 +13,10 @@
 //
 //   sys/class/hwmon/hwmon3/{name,oc3_event_cnt}     soctherm_oc, 27390
 //
+// at the device where the driver puts them there (applesmc; power_meter before Linux 6.15)
+//
+//   sys/class/hwmon/hwmon2/device/{name,power1_average}   power_meter, 412000000
+//
 // or, as JetPack up to 4 has it,
 //
 //   sys/bus/i2c/drivers/ina3221x/1-0040/iio:device0/{rail_name_0,in_power0_input}  VDD_IN, 6170
@@ -38,6 +42,7 @@ namespace energyprof::probe {
 namespace {
 
 constexpr std::string_view class_dir = "sys/class/hwmon";
+constexpr std::string_view supply_dir = "sys/class/power_supply";
 constexpr std::string_view iio_rails_dir = "sys/bus/i2c/drivers/ina3221x";
 
 // What "<prefix><number>_<item>" means.
@@ -58,10 +63,12 @@ constexpr std::array items{
     Item{"oc", "event_cnt", "events", Quantity::throttle, Unit::count, Kind::cumulative},
 };
 
-// What a sensor should stay below: the first of these that is set. Of power, what is enforced in
-// the long run: crit is a peak that no average ever comes near.
+// What a temperature should stay below: the first of these that is set.
 constexpr std::array<std::string_view, 3> temperature_limits{"crit", "max", "emergency"};
-constexpr std::array<std::string_view, 3> power_limits{"cap", "max", "crit"};
+// What is enforced on power in the long run is the lower of cap and max (xe: cap is for bursts).
+// Without either crit, a peak that no average ever comes near.
+constexpr std::array<std::string_view, 2> power_limits{"cap", "max"};
+constexpr std::string_view power_peak = "crit";
 
 // Chips whose every read costs a firmware call, a disk command or a transfer.
 constexpr std::array<std::string_view, 12> slow_chips{
@@ -92,11 +99,12 @@ int64_t period_of(std::string_view chip) {
 }
 
 struct Chip {
-  std::string path;
-  std::string name;     // as the driver says
-  std::string id;       // as in channel names
-  std::string device;   // last part of the device's path: "coretemp.0", "1-0040"
-  SourceTraits traits;  // of its sources
+  std::string path;        // of its files
+  std::string name;        // as the driver says
+  std::string id;          // as in channel names
+  std::string device;      // last part of the device's path: "coretemp.0", "1-0040"
+  bool is_supply = false;  // a battery's or charger's bridge to hwmon
+  SourceTraits traits;     // of its sources
 };
 
 // Whether a device's name is an address on an I2C bus: "1-0040". A read is a transfer.
@@ -105,6 +113,38 @@ bool is_i2c_address(std::string_view device) {
   return dash != std::string_view::npos && dash > 0 && device.size() == dash + 5 &&
          device.find_first_not_of("0123456789") == dash &&
          device.find_first_not_of("0123456789abcdef", dash + 1) == std::string_view::npos;
+}
+
+// N of "<prefix>N_<item>".
+std::optional<int> item_number(std::string_view file, std::string_view prefix,
+                               std::string_view item) {
+  if (!file.starts_with(prefix)) return std::nullopt;
+  file.remove_prefix(prefix.size());
+  if (file.starts_with('-')) return std::nullopt;
+  int number = 0;
+  const auto [stop, error] = std::from_chars(file.data(), file.data() + file.size(), number);
+  if (error != std::errc{}) return std::nullopt;
+  file.remove_prefix(static_cast<size_t>(stop - file.data()));
+  if (!file.starts_with('_') || file.substr(1) != item) return std::nullopt;
+  return number;
+}
+
+// Whether the file's number is one of the kinds of values that are read here.
+bool is_input(std::string_view file) {
+  return std::any_of(items.begin(), items.end(), [&](const Item& item) {
+    return item_number(file, item.prefix, item.item).has_value();
+  });
+}
+
+// Where the chip's files lie: at its entry in the class or, of some drivers, at its device.
+std::string files_of(const Root& root, const std::string& chip) {
+  if (root.exists(chip + "/name")) return chip;
+  const auto has_inputs = [&](const std::string& directory) {
+    const std::vector<std::string> files = root.list(directory);
+    return std::any_of(files.begin(), files.end(), is_input);
+  };
+  std::string device = chip + "/device";
+  return !has_inputs(chip) && has_inputs(device) ? device : chip;
 }
 
 // The last part of the path of the chip's device; its entry in the class if that is not known.
@@ -121,20 +161,56 @@ std::string device_of(const Root& root, const std::string& chip, const std::stri
   return name == "class" ? entry : name;
 }
 
-std::vector<Chip> list_chips(const Root& root) {
+// Where a chip is listed.
+struct Entry {
+  std::string path;
+  std::string gpu;  // whose it is, where only the card's own directory has it
+};
+
+// Entries of the class; and of cards' own directories, which copies may have alone.
+std::vector<Entry> list_entries(const Root& root) {
+  std::vector<Entry> entries;
+  const std::vector<std::string> in_class = root.list(class_dir);
+  for (const std::string& name : in_class)
+    entries.push_back({fmt::format("{}/{}", class_dir, name), {}});
+  for (const DrmCard& card : list_drm_cards(root)) {
+    const std::string parent = card.path + "/device/hwmon";
+    for (const std::string& name : root.list(parent))
+      if (std::find(in_class.begin(), in_class.end(), name) == in_class.end())
+        entries.push_back({fmt::format("{}/{}", parent, name), card.gpu});
+  }
+  return entries;
+}
+
+std::vector<Chip> list_chips(const Root& root, Discovery& discovery) {
   std::vector<Chip> chips;
   std::map<std::string, int> name_count;
-  for (const std::string& entry : root.list(class_dir)) {
-    Chip chip{fmt::format("{}/{}", class_dir, entry), {}, {}, {}, {}};
-    std::optional<std::string> name = root.read_line(chip.path + "/name");
-    if (!name) name = root.read_line(chip.path + "/device/name");
-    if (!name && root.list(chip.path).empty()) continue;
-    chip.device = device_of(root, chip.path, entry);
+  std::set<std::string> known;  // resolved paths
+  for (const auto& [path, gpu] : list_entries(root)) {
+    const std::string entry = path.substr(path.rfind('/') + 1);
+    const std::string device = path + "/device";
+    std::optional<std::string> name = root.read_line(path + "/name");
+    if (!name) name = root.read_line(device + "/name");
+    if (!name && root.list(path).empty()) {
+      if (const int error = root.list_error(path); error == EACCES)
+        discovery.missing.push_back(
+            {"hwmon", fmt::format("cannot enter '{}': {}", root.display(path), errno_text(error)),
+             ""});
+      continue;
+    }
+    if (!known.insert(root.resolve(path).path).second) continue;
+    Chip chip;
+    chip.path = files_of(root, path);
+    chip.device = device_of(root, path, entry);
     chip.name = name.value_or(chip.device);
     chip.id = slug(chip.name);
-    const bool is_gpu = std::find(gpu_chips.begin(), gpu_chips.end(), chip.name) != gpu_chips.end();
-    if (is_gpu) chip.traits.gpu = gpu_of_device(root, chip.path + "/device");
-    chip.traits.wakes_device = is_gpu && may_sleep(root, chip.path + "/device");
+    chip.is_supply = root.exists(fmt::format("{}/{}", supply_dir, chip.device));
+    // A card of the kernel's has its chips at the same device, whatever they are called: i915_gt0.
+    const bool is_gpu =
+        std::find(gpu_chips.begin(), gpu_chips.end(), chip.name) != gpu_chips.end() ||
+        root.exists(device + "/drm") || !gpu.empty();
+    if (is_gpu) chip.traits.gpu = gpu.empty() ? gpu_of_device(root, device) : gpu;
+    chip.traits.wakes_device = is_gpu && may_sleep(root, device);
     if (is_gpu && chip.traits.gpu.empty() && chip.device != entry) chip.traits.gpu = chip.device;
     chip.traits.slow = is_gpu || is_i2c_address(chip.device) || is_one_of(chip.name, slow_chips) ||
                        chip.name == supply_chip;
@@ -148,13 +224,11 @@ std::vector<Chip> list_chips(const Root& root) {
   return chips;
 }
 
-template <size_t N>
-std::optional<int64_t> limit_of(const Root& root, const Chip& chip, const std::string& sensor,
-                                const std::array<std::string_view, N>& limit_items,
-                                int64_t highest = std::numeric_limits<int64_t>::max()) {
-  for (const std::string_view item : limit_items) {
+std::optional<int64_t> temperature_limit(const Root& root, const Chip& chip,
+                                         const std::string& sensor) {
+  for (const std::string_view item : temperature_limits) {
     const auto limit = check_int_file(root, fmt::format("{}/{}_{}", chip.path, sensor, item)).value;
-    if (limit && *limit > 0 && *limit <= highest) return limit;
+    if (limit && *limit > 0 && *limit <= highest_temp_mc) return limit;
   }
   return std::nullopt;
 }
@@ -166,31 +240,27 @@ std::string problem_of(const Chip& chip, const CheckedFile& checked) {
   return is_asleep ? std::string() : checked.problem;
 }
 
+// The file of a power's limit that rules: of those set, the lowest.
+std::optional<CheckedFile> power_limit(const Root& root, const Chip& chip,
+                                       const std::string& sensor) {
+  const auto read = [&](std::string_view item) -> std::optional<CheckedFile> {
+    CheckedFile limit = check_int_file(root, fmt::format("{}/{}_{}", chip.path, sensor, item));
+    if (!problem_of(chip, limit).empty() || limit.value.value_or(1) <= 0) return std::nullopt;
+    return limit;
+  };
+  std::optional<CheckedFile> lowest;
+  for (const std::string_view item : power_limits) {
+    std::optional<CheckedFile> limit = read(item);
+    constexpr int64_t unknown = std::numeric_limits<int64_t>::max();  // of a GPU that sleeps
+    if (limit && (!lowest || limit->value.value_or(unknown) < lowest->value.value_or(unknown)))
+      lowest.emplace(std::move(*limit));
+  }
+  if (!lowest) return read(power_peak);
+  return lowest;
+}
+
 bool is_switched_off(const Root& root, const Chip& chip, const std::string& sensor) {
   return root.read_line(fmt::format("{}/{}_enable", chip.path, sensor)) == "0";
-}
-
-// Why a temperature that can be read is none; empty: it is one.
-std::string why_no_temperature(const Root& root, const Chip& chip, const std::string& sensor,
-                               const CheckedFile& temp) {
-  if (root.read_line(fmt::format("{}/{}_fault", chip.path, sensor)) == "1")
-    return fmt::format("'{}' is of a sensor that says it is faulty", temp.file.path());
-  if (!temp.value || is_plausible_temp(*temp.value)) return {};
-  return fmt::format("'{}' reads {} C: it is not measuring", temp.file.path(),
-                     static_cast<double>(*temp.value) / 1000.0);
-}
-
-// N of "<prefix>N_<item>".
-std::optional<int> item_number(std::string_view file, std::string_view prefix,
-                               std::string_view item) {
-  if (!file.starts_with(prefix)) return std::nullopt;
-  file.remove_prefix(prefix.size());
-  int number = 0;
-  const auto [stop, error] = std::from_chars(file.data(), file.data() + file.size(), number);
-  if (error != std::errc{}) return std::nullopt;
-  file.remove_prefix(static_cast<size_t>(stop - file.data()));
-  if (!file.starts_with('_') || file.substr(1) != item) return std::nullopt;
-  return number;
 }
 
 std::string label_of(const Root& root, const Chip& chip, const std::string& sensor) {
@@ -348,21 +418,18 @@ size_t discover_power_limits(const Root& root, const Chip& chip,
                              Discovery& discovery) {
   std::set<int> numbers;
   for (const std::string& file : files)
-    for (const std::string_view item : power_limits)
+    for (const std::string_view item : {power_limits[0], power_limits[1], power_peak})
       if (const auto number = item_number(file, "power", item)) numbers.insert(*number);
   std::vector<FileChannel> rows;
   for (const int number : numbers) {
     const std::string sensor = fmt::format("power{}", number);
-    for (const std::string_view item : power_limits) {
-      CheckedFile checked = check_int_file(root, fmt::format("{}/{}_{}", chip.path, sensor, item));
-      if (!problem_of(chip, checked).empty() || checked.value.value_or(1) <= 0) continue;
-      Channel channel;
-      channel.name = channel_name(chip, label_of(root, chip, sensor), sensor, "power_limit", taken);
-      channel.quantity = Quantity::limit;
-      channel.unit = Unit::microwatt;
-      rows.push_back({std::move(channel), std::move(checked.file)});
-      break;
-    }
+    std::optional<CheckedFile> limit = power_limit(root, chip, sensor);
+    if (!limit) continue;
+    Channel channel;
+    channel.name = channel_name(chip, label_of(root, chip, sensor), sensor, "power_limit", taken);
+    channel.quantity = Quantity::limit;
+    channel.unit = Unit::microwatt;
+    rows.push_back({std::move(channel), std::move(limit->file)});
   }
   const size_t count = rows.size();
   add_file_source(discovery, "hwmon", ns_per_s, std::move(rows), chip.traits);
@@ -376,7 +443,8 @@ size_t discover_iio_rails(const Root& root, Discovery& discovery) {
     if (is_i2c_address(entry)) chips.push_back(entry);
   size_t rail_count = 0;
   for (const std::string& entry : chips) {
-    const Chip chip{{}, "ina3221x", chips.size() > 1 ? "ina3221x@" + entry : "ina3221x", entry, {}};
+    const Chip chip{{},    "ina3221x", chips.size() > 1 ? "ina3221x@" + entry : "ina3221x",
+                    entry, false,      {}};
     std::set<std::string> taken;
     std::vector<FileChannel> rows;
     const std::string device = fmt::format("{}/{}", iio_rails_dir, entry);
@@ -421,6 +489,15 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
       if (!number) continue;
       const std::string sensor = fmt::format("{}{}", item.prefix, *number);
       if (is_switched_off(root, chip, sensor)) continue;
+      if (chip.is_supply && item.quantity == Quantity::power) {
+        discovery.missing.push_back(
+            {"hwmon",
+             fmt::format("'{}/{}' repeats what the source battery reads, and does not say whether "
+                         "it charges or discharges",
+                         root.display(chip.path), file),
+             ""});
+        continue;
+      }
       CheckedFile checked = check_int_file(root, fmt::format("{}/{}", chip.path, file));
       if (std::string problem = problem_of(chip, checked); !problem.empty()) {
         discovery.missing.push_back({"hwmon", std::move(problem), ""});
@@ -433,24 +510,22 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
         continue;
       }
       const bool is_temp = item.quantity == Quantity::temperature;
-      if (is_temp) {
-        if (std::string why = why_no_temperature(root, chip, sensor, checked); !why.empty()) {
-          discovery.missing.push_back({"hwmon", std::move(why), ""});
-          continue;
-        }
+      if (is_temp && root.read_line(fmt::format("{}/{}_fault", chip.path, sensor)) == "1") {
+        discovery.missing.push_back(
+            {"hwmon",
+             fmt::format("'{}' is of a sensor that says it is faulty", checked.file.path()), ""});
+        continue;
       }
       Channel channel;
       channel.name = channel_name(chip, label_of(root, chip, sensor), sensor, item.suffix, taken);
       channel.quantity = item.quantity;
       channel.unit = item.unit;
       channel.kind = item.kind;
-      if (is_temp)
-        channel.limit = limit_of(root, chip, sensor, temperature_limits, highest_temp_mc);
+      if (is_temp) channel.limit = temperature_limit(root, chip, sensor);
       if (item.quantity == Quantity::power)
-        channel.limit = limit_of(root, chip, sensor, power_limits);
+        if (const auto limit = power_limit(root, chip, sensor)) channel.limit = limit->value;
       has_power = has_power || item.quantity == Quantity::power;
-      rows.push_back(
-          {std::move(channel), std::move(checked.file), is_temp ? &is_plausible_temp : nullptr});
+      rows.push_back({std::move(channel), std::move(checked.file)});
     }
   }
   size_t channel_count = rows.size();
@@ -458,7 +533,8 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
   channel_count += discover_alarms(root, chip, files, taken, discovery);
   if (!chip.traits.gpu.empty())
     channel_count += discover_power_limits(root, chip, files, taken, discovery);
-  if (!has_power) channel_count += discover_rails(root, chip, files, taken, discovery);
+  if (!has_power && !chip.is_supply)
+    channel_count += discover_rails(root, chip, files, taken, discovery);
   if (channel_count == 0 && discovery.missing.size() == missing_before)
     discovery.missing.push_back(
         {"hwmon",
@@ -470,9 +546,10 @@ void discover_chip(const Root& root, const Chip& chip, Discovery& discovery) {
 }  // namespace
 
 void discover_hwmon(const Root& root, Discovery& discovery) {
-  const std::vector<Chip> chips = list_chips(root);
+  const size_t missing_before = discovery.missing.size();
+  const std::vector<Chip> chips = list_chips(root, discovery);
   const size_t iio_rail_count = discover_iio_rails(root, discovery);
-  if (chips.empty() && iio_rail_count == 0)
+  if (chips.empty() && iio_rail_count == 0 && discovery.missing.size() == missing_before)
     discovery.missing.push_back(
         {"hwmon",
          fmt::format("no hardware monitoring chip in '{}'; usual in a virtual machine",

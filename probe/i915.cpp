@@ -80,7 +80,8 @@ void discover_gt(const Root& root, const Gt& gt, const std::string& gpu, Discove
   const auto file = [&](std::string_view which) {
     return fmt::format("{}{}_freq_mhz", gt.clock_files, which);
   };
-  const std::optional<int64_t> highest = check_int_file(root, file("RP0")).value;
+  std::optional<int64_t> highest = check_int_file(root, file("RP0")).value;
+  if (highest == 0) highest.reset();
   const SourceTraits quiet{.gpu = gpu};
   std::vector<FileChannel> clocks;
   const auto add_clock = [&](std::string_view name, const std::string& path) {

@@ -289,11 +289,17 @@ void discover_intel(const Root& root, Gathering& gathering, Registers& registers
   gathering.finish(flag_period_ns, {.gpu = std::string(integrated_intel_gpu)});
 }
 
-// Reads the registers as root, of the same tree.
-std::string command_as_root(const Root& root) {
-  std::string command = fmt::format("sudo {} probe --allow-msr", running_program());
-  if (!root.is_host()) command += fmt::format(" --root '{}'", root.directory());
-  return command;
+// Reads the registers, of the same tree; the device as root.
+std::string command_that_reads(const Root& root) {
+  const std::string command = running_program() + " probe --allow-msr";
+  if (root.is_host()) return "sudo " + command;
+  return fmt::format("{} --root '{}'", command, root.directory());
+}
+
+// Processors of other architectures have no such registers. Only those of x86 name their vendor.
+bool is_other_architecture(const Root& root) {
+  const std::string text = root.read("proc/cpuinfo").text.value_or("");
+  return !text.empty() && text.find("vendor_id") == std::string::npos;
 }
 
 // Of "none [integrity] confidentiality" the word in brackets is in force.
@@ -312,16 +318,27 @@ Missing explain(const Root& root, int error) {
   if (error == EPERM)
     return {"msr", reason + "; it needs CAP_SYS_RAWIO",
             geteuid() == 0 ? "docker run --cap-add SYS_RAWIO --device /dev/cpu/0/msr ..."
-                           : command_as_root(root)};
-  if (error == EACCES) return {"msr", reason, command_as_root(root)};
+                           : command_that_reads(root)};
+  if (error == EACCES)
+    return {"msr", reason, root.is_host() ? command_that_reads(root) : "sudo chmod a+r " + path};
   return {"msr", reason + "; neither Intel's nor AMD's energy registers are there", ""};
 }
 
 }  // namespace
 
 void discover_msr(const Root& root, const Selection& selection, Discovery& discovery) {
+  if (!root.exists(root.is_host() ? device : table)) {
+    if (is_other_architecture(root)) {
+      discovery.missing.push_back({"msr", "no x86 processor: there are no such registers", ""});
+      return;
+    }
+    if (!root.is_host()) {
+      discovery.missing.push_back(explain(root, ENOENT));
+      return;
+    }
+  }
   if (!selection.allow_msr) {
-    discovery.missing.push_back({"msr", "not read unless allowed", command_as_root(root)});
+    discovery.missing.push_back({"msr", "not read unless allowed", command_that_reads(root)});
     return;
   }
   constexpr uint32_t intel_unit = 0x606;

@@ -13,6 +13,7 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <set>
 #include <utility>
 
 #include "core/clock.h"
@@ -62,7 +63,8 @@ int rank(std::string_view control) {
 
 struct Listing {
   std::vector<Zone> zones;
-  std::string hidden;  // a zone that is listed but whose directory cannot be reached
+  std::string hidden;               // a zone that is listed but whose directory cannot be reached
+  std::set<std::string> forbidden;  // those that may not be entered
 };
 
 // Adds the zones in `directory` and below it. The class has links to all of them; copies may have
@@ -80,6 +82,8 @@ void list_zones_in(const Root& root, const std::string& directory, int depth, Li
       if (const auto name = root.read_line(path + "/name")) {
         zone.name = slug(*name);
         listing.zones.push_back(std::move(zone));
+      } else if (root.read(path + "/name").error == EACCES) {
+        listing.forbidden.insert(root.display(path));
       } else {
         listing.hidden = path;
       }
@@ -267,7 +271,11 @@ Missing explain_absence(const Root& root, const std::string& hidden_zone) {
 
 void discover_powercap(const Root& root, Discovery& discovery) {
   const Listing listing = list_zones(root);
+  for (const std::string& path : listing.forbidden)
+    discovery.missing.push_back(
+        {"powercap", fmt::format("cannot enter '{}': {}", path, errno_text(EACCES)), ""});
   if (listing.zones.empty()) {
+    if (!listing.forbidden.empty()) return;
     discovery.missing.push_back(explain_absence(root, listing.hidden));
     return;
   }

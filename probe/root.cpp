@@ -168,6 +168,13 @@ std::vector<std::string> Root::list(std::string_view path) const {
   return names;
 }
 
+int Root::list_error(std::string_view path) const {
+  const Resolved resolved = resolve(path);
+  if (resolved.error != 0) return resolved.error;
+  const std::unique_ptr<DIR, int (*)(DIR*)> directory(opendir(resolved.path.c_str()), &closedir);
+  return directory ? 0 : errno;
+}
+
 Root::Text Root::read(std::string_view path) const {
   const Resolved resolved = resolve(path);
   if (resolved.error != 0) return {std::nullopt, resolved.error};

@@ -39,6 +39,8 @@ class Root {
   [[nodiscard]] std::string link_name(std::string_view path) const;
   /// Names in a directory, one level, in natural order, hidden ones left out; empty if unreadable.
   [[nodiscard]] std::vector<std::string> list(std::string_view path) const;
+  /// errno of listing the directory; 0: it can be listed.
+  [[nodiscard]] int list_error(std::string_view path) const;
 
   struct Text {
     std::optional<std::string> text;  ///< at most 64 KiB

@@ -26,9 +26,6 @@ constexpr int64_t fast_period_ns = 100 * ns_per_ms;
 constexpr int64_t acpi_period_ns = 5 * ns_per_s;  // acpitz: every read runs firmware code
 constexpr size_t files_per_period = 64;
 
-// Zones that are not set or not measuring say 0, or -274 C and the like.
-bool is_measured(int64_t temp_mc) { return is_plausible_temp(temp_mc) && temp_mc != 0; }
-
 struct Device {
   std::string path;
   std::string type;  // as the kernel says
@@ -40,7 +37,7 @@ std::vector<Device> list_devices(const Root& root, std::string_view prefix) {
   std::vector<Device> devices;
   std::map<std::string, int> type_count;
   for (const std::string& entry : root.list(class_dir)) {
-    if (!entry.starts_with(prefix)) continue;
+    if (!is_numbered(entry, prefix)) continue;
     Device device{fmt::format("{}/{}", class_dir, entry), {}, {}};
     device.type = root.read_line(device.path + "/type").value_or(entry);
     device.id = slug(device.type);
@@ -76,6 +73,11 @@ std::optional<int64_t> trip_mc(const Root& root, const Device& zone) {
   return passive ? passive : severe;
 }
 
+Channel zone_channel(const Device& zone) {
+  return make_channel(fmt::format("thermal.{}.temp", zone.id), Quantity::temperature,
+                      Unit::millicelsius);
+}
+
 // Why a zone is no channel; empty: it is one.
 Missing explain(const Root& root, const Device& zone, const CheckedFile& temp) {
   Missing missing{"thermal", {}, {}};
@@ -87,7 +89,7 @@ Missing explain(const Root& root, const Device& zone, const CheckedFile& temp) {
                                  temp.file.path(), shown(zone.type));
   else if (!temp.problem.empty())
     missing.reason = temp.problem;
-  else if (temp.value && !is_measured(*temp.value))
+  else if (temp.value && !plausible_values(zone_channel(zone)).has(*temp.value))
     missing.reason = fmt::format("'{}' ({}) reads {} C: it is not measuring", temp.file.path(),
                                  shown(zone.type), static_cast<double>(*temp.value) / 1000.0);
   else
@@ -111,13 +113,9 @@ size_t discover_zones(const Root& root, Discovery& discovery) {
       discovery.missing.push_back(std::move(missing));
       continue;
     }
-    Channel channel;
-    channel.name = fmt::format("thermal.{}.temp", zone.id);
-    channel.quantity = Quantity::temperature;
-    channel.unit = Unit::millicelsius;
+    Channel channel = zone_channel(zone);
     channel.limit = trip_mc(root, zone);
-    (zone.type == "acpitz" ? acpi : quick)
-        .push_back({std::move(channel), std::move(temp.file), is_measured});
+    (zone.type == "acpitz" ? acpi : quick).push_back({std::move(channel), std::move(temp.file)});
   }
   add_file_source(discovery, "thermal", fast_period_ns, std::move(quick));
   add_file_source(discovery, "thermal", acpi_period_ns, std::move(acpi), {.slow = true});
@@ -133,13 +131,14 @@ bool throttles(const std::string& id) {
                       [&](std::string_view other) { return id.find(other) != std::string::npos; });
 }
 
-// The GPU that a cooling device slows down, by the name the kernel gives it: "devfreq-<device>",
-// before Linux 5.11 "thermal-devfreq-0", which tells only where there is one device to slow down.
+// The GPU that a cooling device slows down, by the name the kernel gives it: "devfreq-<device>";
+// "thermal-devfreq-0" before Linux 5.11 and "gpu-balanced" of a Jetson's kernel tell only where
+// there is one device to slow down.
 std::string gpu_of_cooling(const Root& root, const std::string& type) {
   constexpr std::string_view prefix = "devfreq-";
-  if (type.starts_with("thermal-devfreq-")) return only_devfreq_gpu(root);
-  const bool is_gpu = type.starts_with(prefix) && is_gpu_name(type);
-  return is_gpu ? type.substr(prefix.size()) : "";
+  const bool is_gpu = is_gpu_name(type);
+  if (type.starts_with(prefix)) return is_gpu ? type.substr(prefix.size()) : "";
+  return is_gpu || type.starts_with("thermal-devfreq-") ? only_devfreq_gpu(root) : "";
 }
 
 void discover_cooling(const Root& root, Discovery& discovery) {

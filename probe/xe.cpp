@@ -179,7 +179,8 @@ void discover_gt(const Root& root, const Gt& gt, const NamedCard& named, Discove
   // The actual clock is a register, which wakes no GT but the device, where that may sleep.
   const bool sleeps = may_sleep(root, named.card.path + "/device");
   const SourceTraits light{.slow = sleeps, .wakes_device = sleeps, .gpu = gpu};
-  const auto highest = check_int_file(root, gt.path + "/freq0/rp0_freq").value;
+  auto highest = check_int_file(root, gt.path + "/freq0/rp0_freq").value;
+  if (highest == 0) highest.reset();
   const auto clock = [&](const char* name, Quantity quantity) {
     Channel channel =
         make_channel(fmt::format("{}.{}", gt.prefix, name), quantity, Unit::megahertz);

@@ -482,8 +482,11 @@ TEST(Analyze, ARecordedProgramIsSummedUpByPowerWhereNothingCountsEnergy) {
   builder.run.meta["command_exit_code"] = "0";
   builder.add_channel("hwmon.ina3221.vdd_in.power", Quantity::power, Unit::milliwatt, Kind::gauge,
                       1'000'000, 11, [](std::size_t) { return 5000.0; });
+  builder.add_channel("battery.bat0.energy", Quantity::energy, Unit::microjoule, Kind::gauge,
+                      1'000'000, 11, [](std::size_t) { return 72e9; });  // what is left
   const std::string headline = analyze(builder.run).headline;
   EXPECT_THAT(headline, HasSubstr("hwmon.ina3221.vdd_in.power: always 5.00 W"));
+  EXPECT_THAT(headline, Not(HasSubstr("battery")));
   EXPECT_THAT(headline, HasSubstr("no counter of energy is here"));
 }
 

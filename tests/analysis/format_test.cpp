@@ -25,6 +25,7 @@ TEST(Format, ScalesWhatSensorsStore) {
   EXPECT_EQ(scaled_stored(34'100'000, "uJ"), "34.1 J");
   EXPECT_EQ(scaled_stored(1'300, "MHz"), "1.30 GHz");
   EXPECT_EQ(scaled_stored(52'500, "mC"), "52.5 °C");
+  EXPECT_EQ(scaled_stored(5250, "cC"), "52.5 °C");
   EXPECT_EQ(scaled_stored(1, "1"), "1");
   EXPECT_EQ(scaled_stored(12, "count"), "12");
   EXPECT_EQ(scaled_stored(40, "%"), "40 %");

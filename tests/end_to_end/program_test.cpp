@@ -654,6 +654,24 @@ TEST_F(Program, ProbeSaysWhichReadsWakeAGpu) {
   EXPECT_THAT(probe("vm-no-sensors"), Not(HasSubstr("wake")));
 }
 
+TEST_F(Program, ProbeFoldsNoTwoDevicesIntoOneLine) {
+  const fs::path root = out() / "tree";
+  for (const std::string chip : {"0", "1"}) {
+    const fs::path device = root / "sys/devices" / ("coretemp." + chip);
+    const fs::path files = device / "hwmon" / ("hwmon" + chip);
+    fs::create_directories(files);
+    std::ofstream(files / "name") << "coretemp\n";
+    for (int i = 1; i <= 4; ++i)
+      std::ofstream(files / ("temp" + std::to_string(i) + "_input")) << "50000\n";
+    fs::create_directories(root / "sys/class/hwmon");
+    fs::create_directory_symlink("../../devices/coretemp." + chip + "/hwmon/hwmon" + chip,
+                                 root / "sys/class/hwmon" / ("hwmon" + chip));
+  }
+  EXPECT_THAT(program({"probe", "--root", root.string()}).out,
+              AllOf(HasSubstr("hwmon.coretemp@coretemp_0.temp*.temp (4)"),
+                    HasSubstr("hwmon.coretemp@coretemp_1.temp*.temp (4)")));
+}
+
 // ---------------------------------------------------------------------------- failing devices
 
 Environment fault(const std::string& what) {
@@ -1022,6 +1040,11 @@ TEST_F(Program, ProbeJsonHasTheContractsFields) {
     for (const char* key : {"name", "source", "quantity", "unit", "kind", "value", "period_ns",
                             "read_cost_ns", "origin"})
       EXPECT_TRUE(channel.contains(key)) << channel;
+  const auto package =
+      std::find_if(probe["channels"].begin(), probe["channels"].end(),
+                   [](const json& channel) { return channel["name"] == "rapl.package-0.energy"; });
+  ASSERT_NE(package, probe["channels"].end());
+  EXPECT_EQ((*package)["wrap_at"], 262'143'328'850);
   for (const json& missing : probe["missing"])
     for (const char* key : {"source", "reason", "fix"})
       EXPECT_TRUE(missing.contains(key)) << missing;

@@ -157,6 +157,37 @@ TEST(Devfreq, SeesWhenQualcommsOwnDriverMayNotGoAsHighAsItCould) {
   EXPECT_THAT(found.missing, missing_because("no integer"));
 }
 
+TEST(Devfreq, GivesAClockOnceThatAndroidHasInTwoClasses) {
+  const std::string device = "sys/devices/platform/3d00000.qcom,kgsl-3d0/";
+  const Tree tree{{device + "kgsl/kgsl-3d0/gpuclk", "585000000\n"},
+                  {device + "kgsl/kgsl-3d0/max_gpuclk", "585000000\n"},
+                  {device + "devfreq/3d00000.qcom,kgsl-3d0/cur_freq", "585000000\n"}};
+  tree.link(device + "kgsl/kgsl-3d0/device", "../../../3d00000.qcom,kgsl-3d0");
+  tree.link(device + "devfreq/3d00000.qcom,kgsl-3d0/device", "../../../3d00000.qcom,kgsl-3d0");
+  tree.link("sys/class/kgsl/kgsl-3d0",
+            "../../devices/platform/3d00000.qcom,kgsl-3d0/kgsl/kgsl-3d0");
+  tree.link("sys/class/devfreq/3d00000.qcom,kgsl-3d0",
+            "../../devices/platform/3d00000.qcom,kgsl-3d0/devfreq/3d00000.qcom,kgsl-3d0");
+  // What heat allows is in the one class, what software allows in the other.
+  EXPECT_THAT(names_of(find(tree.root(), "devfreq")),
+              ElementsAre("devfreq.3d00000_qcom_kgsl-3d0.freq", "devfreq.kgsl-3d0.max_freq"));
+}
+
+TEST(Devfreq, LeavesOutClocksAndLoadsThatCannotBe) {
+  const Tree tree{
+      {mali + "cur_freq", "-5\n"}, {mali + "max_freq", "200\n"}, {mali + "load", "150@200Hz\n"}};
+  const Discovery found = find(tree.root(), "devfreq");
+  EXPECT_EQ(channel_called(found, "devfreq.fb000000_gpu.freq").id, 0);
+  EXPECT_THAT(found.missing, missing_because("-5 Hz, which cannot be"));
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.max_freq"].value, 200);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.load"].status, PollStatus::retry);
+  tree.write({{mali + "max_freq", "-1\n"}, {mali + "load", "99@200Hz\n"}});
+  readings = poll_all(found);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.max_freq"].status, PollStatus::retry);
+  EXPECT_EQ(readings["devfreq.fb000000_gpu.load"].value, 99);
+}
+
 TEST(Devfreq, FollowsATableWhoseRowsChange) {
   const std::string head = "     From  :   To\n           : 100 200   time(ms)\n";
   const Tree tree{{mali + "cur_freq", "100\n"},
@@ -470,6 +501,34 @@ TEST(Hwmon, LimitsPowerByWhatIsEnforcedAndNotByThePeak) {
     EXPECT_TRUE(source->traits().slow);
     EXPECT_EQ(source->traits().gpu, "0000:03:00.0");
   }
+}
+
+TEST(Hwmon, TakesTheLowerOfAPowersCapAndMaximum) {
+  const std::string chip = "sys/class/hwmon/hwmon0/";
+  const Tree tree{{chip + "name", "xe\n"},
+                  {chip + "device/uevent", "PCI_SLOT_NAME=0000:03:00.0\n"},
+                  {chip + "power1_label", "card\n"},
+                  {chip + "power1_max", "190000000\n"},  // sustained
+                  {chip + "power1_cap", "220000000\n"},  // for bursts
+                  {chip + "power1_crit", "380000000\n"},
+                  {chip + "power2_label", "pkg\n"},
+                  {chip + "power2_max", "0\n"},  // switched off
+                  {chip + "power2_cap", "160000000\n"}};
+  auto readings = poll_all(find(tree.root(), "hwmon"));
+  EXPECT_EQ(readings["hwmon.xe.card.power_limit"].value, 190'000'000);
+  EXPECT_EQ(readings["hwmon.xe.pkg.power_limit"].value, 160'000'000);
+}
+
+TEST(Hwmon, GivesAllChipsOfACardToItsGpu) {
+  const std::string card = "sys/devices/0000:3a:00.0/";
+  const Tree tree{{card + "uevent", "PCI_SLOT_NAME=0000:3a:00.0\n"},
+                  {card + "drm/card1/dev", "226:1\n"},
+                  {card + "hwmon/hwmon1/name", "i915_gt0\n"},
+                  {card + "hwmon/hwmon1/energy1_input", "61\n"}};
+  tree.link(card + "hwmon/hwmon1/device", "../../../0000:3a:00.0");
+  tree.link("sys/class/hwmon/hwmon1", "../../devices/0000:3a:00.0/hwmon/hwmon1");
+  const Discovery found = find(tree.root(), "hwmon");
+  EXPECT_EQ(channel_called(found, "hwmon.i915_gt0.energy1.energy").gpu, "0000:3a:00.0");
 }
 
 TEST(Hwmon, CallsTheEnergyOfAnArcByItsLabel) {

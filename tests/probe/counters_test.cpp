@@ -502,15 +502,22 @@ TEST(Msr, BlamesLockdownOnlyWhereItIsOn) {
   EXPECT_THAT(why(), Not(missing_because("lockdown")));
 }
 
-TEST(Msr, SuggestsACommandForTheSameTree) {
-  const Tree tree;
-  const Discovery found = discover(tree.root(), Selection{.sources = {"msr"}});
-  EXPECT_THAT(found.missing, Contains(Field(&Missing::fix, HasSubstr("--root '" + tree.path()))));
-  // The program that runs: sudo may find another one, or none.
+TEST(Msr, SuggestsACommandForTheSameTreeWhereThatHasRegisters) {
+  const Tree tree{{"dev/cpu/0/msr.tsv", "0x606\t0xa0e03\n"}};
+  const auto missing = [](const Tree& of) {
+    return discover(of.root(), Selection{.sources = {"msr"}}).missing;
+  };
+  // The program that runs: the shell may find another one, or none.
   const std::string program = std::filesystem::read_symlink("/proc/self/exe").string();
-  EXPECT_THAT(
-      found.missing,
-      Contains(Field(&Missing::fix, HasSubstr("sudo '" + program + "' probe --allow-msr"))));
+  EXPECT_THAT(missing(tree),
+              ElementsAre(Field(&Missing::fix, "'" + program + "' probe --allow-msr --root '" +
+                                                   tree.path() + "'")));
+  const auto without_fix = [](const std::string& reason) {
+    return ElementsAre(AllOf(Field(&Missing::reason, HasSubstr(reason)), Field(&Missing::fix, "")));
+  };
+  EXPECT_THAT(missing(Tree()), without_fix("msr.tsv"));
+  const Tree board{{"proc/cpuinfo", "processor\t: 0\nCPU implementer\t: 0x41\n"}};
+  EXPECT_THAT(missing(board), without_fix("no x86 processor"));
 }
 
 TEST(Msr, TakesTheReasonsOfOldProcessorsFromTheirOwnRegister) {

@@ -47,6 +47,26 @@ TEST(Discover, GivesAReasonForEverythingOnAnEmptyMachine) {
   EXPECT_THAT(verdict(found), HasSubstr("Nothing but frame times"));
 }
 
+TEST(Discover, SaysWhatTheKernelOfAnotherMachineWouldCount) {
+  const auto why = [](const std::string& machine, const std::string& source) {
+    return discover(Root(Tree::machine_dir(machine).string()), Selection{{source}})
+        .missing.front()
+        .reason;
+  };
+  EXPECT_THAT(why("intel-rplp-i915-laptop", "uncore"),
+              AllOf(HasSubstr("not under --root"),
+                    HasSubstr("perf may count uncore.imc.read, uncore.imc.write")));
+  EXPECT_THAT(why("intel-rplp-i915-laptop", "perf_rapl"), HasSubstr("rapl.package-0.energy"));
+  EXPECT_THAT(why("vm-no-sensors", "uncore"), testing::Not(HasSubstr("may count")));
+}
+
+TEST(Verdict, DoesNotSayThatPowerIsUnknownWhereEnergyIsCounted) {
+  const std::string zone = "sys/class/powercap/intel-rapl:0/";
+  const Tree tree{{zone + "name", "package-0\n"}, {zone + "energy_uj", "1\n"}};
+  EXPECT_THAT(verdict(discover(tree.root())), HasSubstr("Cannot: GPU energy, GPU clock"));
+  EXPECT_THAT(verdict(discover(Tree().root())), HasSubstr("Cannot: energy, GPU energy, power"));
+}
+
 TEST(Discover, WorksOnThisMachine) {
   Discovery found = discover(Root());
   characterize(found, Root());

@@ -72,6 +72,8 @@ TEST_P(Machine, IsDiscoveredAndRead) {
   }
   for (const Missing& missing : found.missing) {
     EXPECT_NE(missing.reason, "");
+    // A command that names no file of the tree would change the machine that runs the test.
+    EXPECT_THAT(missing.fix, testing::AnyOf("", HasSubstr(root.directory())));
     heard_of.insert(missing.source);
   }
   for (const std::string& name : source_names()) EXPECT_THAT(heard_of, Contains(name));
@@ -196,6 +198,96 @@ TEST(RaspberryPi4, ReadsItsOneZoneAndPolicy) {
   EXPECT_EQ(readings["thermal.bcm2835_thermal.temp"].value, 49925);
   EXPECT_EQ(readings["hwmon.cpu_thermal.temp1.temp"].value, 49925);
   EXPECT_EQ(readings["cpufreq.cpu0.freq"].value, 600'000);
+}
+
+TEST(XeonServer, CountsEachPackageOnItsOwn) {
+  const std::string machine = "intel-xeon-2s-server";
+  const Tree tree(machine);
+  const Discovery found = discover(tree.root());
+  auto t0 = poll_all(found);
+  tree.overlay(machine, "t1");
+  auto t1 = poll_all(found);
+  const auto difference = [&](const std::string& name) {
+    int64_t rise = t1[name].value - t0[name].value;
+    if (rise < 0) rise += channel_called(found, name).wrap_at.value_or(0);
+    return rise;
+  };
+  // EXPECTED.tsv, dt = 1 s: watts as microjoules per second.
+  EXPECT_EQ(difference("rapl.package-0.energy"), 120'000'000);
+  EXPECT_EQ(difference("rapl.package-1.energy"), 95'500'000);  // over the counter's end
+  EXPECT_EQ(difference("rapl.package-0.dram.energy"), 12'250'000);
+  EXPECT_EQ(channel_called(found, "rapl.package-0.dram.energy").wrap_at, 65'712'999'613);
+  EXPECT_EQ(difference("cpu.package-1.throttle.count"), 2);
+  EXPECT_EQ(difference("cpu.package-1.throttle.time"), 33);
+  EXPECT_EQ(difference("cpu.package-0.throttle.count"), 0);
+  for (const char* limit : {"rapl.package-0.pl1", "rapl.package-1.pl1"})
+    EXPECT_EQ(t0[limit].value, 350'000'000);
+  EXPECT_EQ(t0.count("rapl.psys.pl1"), 0u);
+}
+
+TEST(XeonServer, HasAMeterASupplyAndMemoryControllers) {
+  const Discovery found = discover(Root(Tree::machine_dir("intel-xeon-2s-server").string()));
+  auto readings = poll_all(found);
+  EXPECT_EQ(readings["hwmon.power_meter.power1.power_average"].value, 412'000'000);
+  EXPECT_EQ(channel_called(found, "hwmon.power_meter.power1.power_average").limit, 900'000'000);
+  EXPECT_EQ(readings["hwmon.pfe1100.pin.power"].value, 414'000'000);
+  EXPECT_EQ(readings["hwmon.pfe1100.pout1.power"].value, 391'000'000);
+  EXPECT_EQ(readings["hwmon.coretemp@coretemp_1.package_id_1.temp"].value, 62'000);
+  EXPECT_THAT(found.missing,
+              Contains(Field(&Missing::reason, HasSubstr("uncore.imc.read, uncore.imc.write"))));
+}
+
+TEST(B580Desktop, TellsItsTwoGpusApart) {
+  const std::string machine = "intel-b580-desktop";
+  const Tree tree(machine);
+  const Discovery found = discover(tree.root());
+  auto t0 = poll_all(found);
+  tree.overlay(machine, "t1");
+  auto t1 = poll_all(found);
+  // EXPECTED.tsv, dt = 1 s.
+  EXPECT_EQ(t1["hwmon.xe.pkg.energy"].value - t0["hwmon.xe.pkg.energy"].value, 118'500'000);
+  EXPECT_EQ(t1["rapl.uncore.energy"].value - t0["rapl.uncore.energy"].value, 250'000);
+  EXPECT_EQ(t0.count("hwmon.xe.card.energy"), 0u);
+  EXPECT_EQ(t0["hwmon.xe.card.power_limit"].value, 190'000'000);
+  EXPECT_EQ(t0["xe.gt0.act_freq"].value, 2740);
+  EXPECT_EQ(t0["xe.gt0.requested_freq"].value, 2850);
+  std::vector<std::string> throttled;
+  for (const auto& [name, reading] : t0) {
+    const Channel channel = channel_called(found, name);
+    if (channel.quantity == Quantity::throttle && reading.value != 0) throttled.push_back(name);
+    if (name.starts_with("xe.") || name.starts_with("hwmon.xe.")) {
+      EXPECT_EQ(channel.gpu, "0000:03:00.0") << name;
+    } else if (name.starts_with("i915.")) {
+      EXPECT_EQ(channel.gpu, "0000:00:02.0") << name;
+    }
+  }
+  EXPECT_THAT(throttled, testing::ElementsAre("xe.gt0.throttle.fancy_new", "xe.gt0.throttle.pl1",
+                                              "xe.gt0.throttle.status"));
+}
+
+TEST(Rk3588Board, IsHeldBackByItsHeat) {
+  const Discovery found = discover(Root(Tree::machine_dir("rockchip-rk3588-board").string()));
+  auto readings = poll_all(found);
+  const std::string gpu = "devfreq.fb000000_gpu.";
+  for (const auto& [name, value] :
+       std::map<std::string, int64_t>{{gpu + "freq", 900'000'000},
+                                      {gpu + "throttle.clamp", 1},
+                                      {gpu + "load", 78},
+                                      {gpu + "time_at.300000000", 10'000},
+                                      {gpu + "time_at.900000000", 2000},
+                                      {gpu + "time_at.1000000000", 777},
+                                      {gpu + "transitions", 19},
+                                      {"thermal.gpu-thermal.temp", 86'000},
+                                      {"thermal.cooling.devfreq-fb000000_gpu.state", 1}})
+    EXPECT_EQ(readings[name].value, value) << name;
+  EXPECT_EQ(channel_called(found, gpu + "freq").limit, 1'000'000'000);
+  EXPECT_EQ(channel_called(found, "thermal.gpu-thermal.temp").limit, 75'000);
+  EXPECT_EQ(channel_called(found, "thermal.cooling.devfreq-fb000000_gpu.state").limit, 7);
+  EXPECT_EQ(readings.count("thermal.npu-thermal.temp"), 0u);
+  for (const auto& [name, reading] : readings) {
+    const Quantity quantity = channel_called(found, name).quantity;
+    EXPECT_TRUE(quantity != Quantity::energy && quantity != Quantity::power) << name;
+  }
 }
 
 TEST(VirtualMachine, HasNothingButInterference) {

@@ -117,6 +117,32 @@ TEST(Powercap, GivesTheCommandThatOpensForbiddenCounters) {
   EXPECT_EQ(found.missing[0].fix, "sudo chmod a+r " + package + " " + core);
 }
 
+TEST(Discover, SaysWhichDirectoriesItMayNotLookInto) {
+  const Tree tree{{rapl + "intel-rapl:0/name", "package-0\n"},
+                  {rapl + "intel-rapl:0/energy_uj", "1\n"},
+                  {rapl + "intel-rapl:1/name", "psys\n"},
+                  {rapl + "intel-rapl:1/energy_uj", "2\n"},
+                  {"sys/class/hwmon/hwmon0/name", "coretemp\n"},
+                  {"sys/class/hwmon/hwmon0/temp1_input", "40000\n"},
+                  {"sys/class/thermal/thermal_zone0/temp", "40000\n"}};
+  const auto permit = [&](std::filesystem::perms permissions) {
+    for (const char* directory : {"powercap/intel-rapl:0", "hwmon/hwmon0", "thermal"})
+      std::filesystem::permissions(tree.path() + "/sys/class/" + directory, permissions);
+  };
+  permit(std::filesystem::perms::none);
+  const Discovery found = [&] {
+    const Unprivileged unprivileged;
+    return discover(tree.root(), Selection{{"powercap", "hwmon", "thermal"}});
+  }();
+  permit(std::filesystem::perms::owner_all);  // for who removes the tree
+  EXPECT_THAT(names_of(found), ElementsAre("rapl.psys.energy"));
+  EXPECT_THAT(found.missing,
+              missing_because("cannot enter '" + tree.path() + "/" + rapl + "intel-rapl:0'", ""));
+  EXPECT_THAT(found.missing, missing_because("hwmon0': Permission denied", ""));
+  EXPECT_THAT(found.missing, missing_because("cannot list", "sudo chmod a+rx " + tree.path() +
+                                                                "/sys/class/thermal"));
+}
+
 TEST(Powercap, SaysWhatIsWrongWithAZone) {
   const Tree tree{{rapl + "intel-rapl:0/name", "package-0\n"},
                   {rapl + "intel-rapl:0/energy_uj", "99999999999999999999\n"},
@@ -166,7 +192,7 @@ TEST(Powercap, TakesTheLowestLimitThatIsInForce) {
 TEST(Powercap, ExplainsWhyThereIsNone) {
   const Tree machine{{"proc/cpuinfo", "vendor_id\t: GenuineIntel\nflags\t: fpu vme\n"}};
   EXPECT_THAT(discover_only(machine.root(), "powercap").missing,
-              missing_because("no RAPL zone", "sudo modprobe intel_rapl_msr"));
+              missing_because("on that machine: sudo modprobe intel_rapl_msr", ""));
   const Tree guest{{"proc/cpuinfo", "vendor_id\t: GenuineIntel\nflags\t: fpu hypervisor\n"}};
   const Discovery in_guest = discover_only(guest.root(), "powercap");
   ASSERT_THAT(in_guest.missing, SizeIs(1));
@@ -175,7 +201,7 @@ TEST(Powercap, ExplainsWhyThereIsNone) {
   const Tree container;
   container.link(rapl + "intel-rapl:0", "../../devices/virtual/powercap/intel-rapl/intel-rapl:0");
   EXPECT_THAT(discover_only(container.root(), "powercap").missing,
-              missing_because("mask", "systempaths=unconfined"));
+              missing_because("mask it; on that machine: docker run --security-opt", ""));
 }
 
 const std::string chips = "sys/class/hwmon/";
@@ -236,12 +262,107 @@ TEST(Hwmon, DoesNotBelieveInputsWhereNothingIsConnected) {
                   {"sys/class/hwmon/hwmon0/temp3_input", "25000\n"},
                   {"sys/class/hwmon/hwmon0/temp3_fault", "1\n"},
                   {"sys/class/hwmon/hwmon0/temp4_input", "-5000\n"},
-                  {"sys/class/hwmon/hwmon0/temp4_fault", "0\n"}};
+                  {"sys/class/hwmon/hwmon0/temp4_fault", "0\n"},
+                  {"sys/class/hwmon/hwmon0/temp5_input", "127500\n"},
+                  {"sys/class/hwmon/hwmon0/temp6_input", "0\n"},
+                  {"sys/class/hwmon/hwmon0/temp7_input", "0\n"},
+                  {"sys/class/hwmon/hwmon0/temp8_input", "0\n"}};
   const Discovery found = discover_only(tree.root(), "hwmon");
   EXPECT_THAT(names_of(found), ElementsAre("hwmon.nct6775.temp4.temp"));
+  EXPECT_THAT(found.missing, missing_because("127.5 C", ""));
+  EXPECT_THAT(found.missing,
+              missing_because("temp6_input' reads 0 C: it is not measuring, and 2 more", ""));
   EXPECT_THAT(found.missing, missing_because("-62 C", ""));
   EXPECT_THAT(found.missing, missing_because("216 C", ""));
   EXPECT_THAT(found.missing, missing_because("faulty", ""));
+}
+
+TEST(Hwmon, FindsFilesThatTheDriverPutAtTheDevice) {
+  const std::string meter = "sys/devices/ACPI000D:00/";  // as before Linux 6.15
+  const Tree tree{{meter + "name", "power_meter\n"},
+                  {meter + "power1_average", "412000000\n"},
+                  {meter + "power1_cap", "900000000\n"},
+                  {meter + "power1_alarm", "0\n"},
+                  {meter + "hwmon/hwmon2/uevent", ""},
+                  {"sys/devices/1-0040/name", "ina219\n"},  // of the device, not the chip
+                  {"sys/devices/1-0040/hwmon/hwmon3/power1_input", "5000000\n"}};
+  tree.link(meter + "hwmon/hwmon2/device", "../../../ACPI000D:00");
+  tree.link("sys/devices/1-0040/hwmon/hwmon3/device", "../../../1-0040");
+  tree.link(chips + "hwmon2", "../../devices/ACPI000D:00/hwmon/hwmon2");
+  tree.link(chips + "hwmon3", "../../devices/1-0040/hwmon/hwmon3");
+  const Discovery found = discover_only(tree.root(), "hwmon");
+  EXPECT_THAT(names_of(found),
+              UnorderedElementsAre("hwmon.power_meter.power1.power_average",
+                                   "hwmon.power_meter.power1.alarm", "hwmon.ina219.power1.power"));
+  EXPECT_EQ(poll_all(found)["hwmon.power_meter.power1.power_average"].value, 412'000'000);
+  EXPECT_EQ(channel_called(found, "hwmon.power_meter.power1.power_average").limit, 900'000'000);
+}
+
+TEST(Hwmon, LeavesThePowerOfABatteryToTheBattery) {
+  // Since Linux 6.11; positive while it charges, of either sign with some drivers.
+  const std::string battery = "sys/devices/pmic/power_supply/qcom-battmgr-bat/";
+  const Tree tree{{battery + "hwmon1/name", "qcom_battmgr_bat\n"},
+                  {battery + "hwmon1/power1_input", "-9876000\n"},
+                  {battery + "hwmon1/in1_input", "15000\n"},
+                  {battery + "hwmon1/curr1_input", "-640\n"},
+                  {battery + "hwmon1/temp1_input", "31200\n"},
+                  {battery + "type", "Battery\n"}};
+  tree.link(battery + "hwmon1/device", "../../qcom-battmgr-bat");
+  tree.link("sys/class/power_supply/qcom-battmgr-bat",
+            "../../devices/pmic/power_supply/qcom-battmgr-bat");
+  tree.link(chips + "hwmon1", "../../devices/pmic/power_supply/qcom-battmgr-bat/hwmon1");
+  const Discovery found = discover_only(tree.root(), "hwmon");
+  EXPECT_THAT(names_of(found), ElementsAre("hwmon.qcom_battmgr_bat.temp1.temp"));
+  EXPECT_THAT(found.missing, missing_because("the source battery", ""));
+}
+
+TEST(Hwmon, FindsTheChipOfACardInACopyWithoutTheClass) {
+  const std::string chip = "sys/class/drm/card1/device/hwmon/hwmon6/";
+  const Tree tree{{"sys/class/drm/card1/device/uevent", "PCI_SLOT_NAME=0000:03:00.0\n"},
+                  {chip + "name", "amdgpu\n"},
+                  {chip + "temp1_input", "41000\n"}};
+  Discovery found = discover_only(tree.root(), "hwmon");
+  EXPECT_THAT(names_of(found), ElementsAre("hwmon.amdgpu.temp1.temp"));
+  EXPECT_EQ(found.sources.front()->traits().gpu, "0000:03:00.0");
+  // A copy that followed the links has it twice.
+  tree.write({{chips + "hwmon6/name", "amdgpu\n"}, {chips + "hwmon6/temp1_input", "41000\n"}});
+  EXPECT_THAT(names_of(discover_only(tree.root(), "hwmon")),
+              ElementsAre("hwmon.amdgpu.temp1.temp"));
+}
+
+TEST(Hwmon, ListsAChipOnceThatTheClassHasTwice) {
+  const Tree tree{{"sys/devices/chip/hwmon/hwmon0/name", "chip\n"},
+                  {"sys/devices/chip/hwmon/hwmon0/temp1_input", "40000\n"},
+                  {"sys/devices/chip/hwmon/hwmon0/temp-2_input", "41000\n"}};
+  tree.link(chips + "hwmon0", "../../devices/chip/hwmon/hwmon0");
+  tree.link(chips + "hwmon7", "../../devices/chip/hwmon/hwmon0");
+  EXPECT_THAT(names_of(discover_only(tree.root(), "hwmon")), ElementsAre("hwmon.chip.temp1.temp"));
+}
+
+TEST(FileSource, LeavesOutWhatCannotBe) {
+  const std::string card = "sys/class/drm/card0/device/";
+  const Tree tree{{rapl + "intel-rapl:0/name", "package-0\n"},
+                  {rapl + "intel-rapl:0/energy_uj", "-1\n"},
+                  {card + "uevent", "DRIVER=amdgpu\n"},
+                  {card + "gpu_busy_percent", "101\n"},
+                  {"sys/class/drm/card1/device/uevent", "DRIVER=i915\n"},
+                  {"sys/class/drm/card1/gt_act_freq_mhz", "4294967295\n"},
+                  {"sys/class/drm/card1/gt_cur_freq_mhz", "300\n"},
+                  {"sys/class/drm/card1/gt_RP0_freq_mhz", "0\n"},
+                  {chips + "hwmon0/name", "chip\n"},
+                  {chips + "hwmon0/power1_input", "4000000000000\n"},
+                  {chips + "hwmon0/power1_crit_alarm", "2\n"},
+                  {chips + "hwmon0/power2_input", "-1000000\n"}};
+  const Discovery found = discover(tree.root(), Selection{{"powercap", "i915", "amdgpu", "hwmon"}});
+  EXPECT_THAT(names_of(found), UnorderedElementsAre("i915.gt0.requested_freq", "i915.gt0.rp0_freq",
+                                                    "hwmon.chip.power2.power"));
+  EXPECT_EQ(channel_called(found, "i915.gt0.requested_freq").limit, std::nullopt);
+  for (const char* reason :
+       {"reads -1 uJ, which cannot be", "101 %", "4294967295 MHz", "4000000000000 uW", "2 count"})
+    EXPECT_THAT(found.missing, missing_because(reason, ""));
+  // Later it is no sample.
+  tree.write({{"sys/class/drm/card1/gt_cur_freq_mhz", "-1\n"}});
+  EXPECT_EQ(poll_all(found)["i915.gt0.requested_freq"].status, PollStatus::retry);
 }
 
 TEST(Hwmon, CountsHowOftenAJetsonThrottledForItsSupply) {
@@ -408,7 +529,8 @@ TEST(Psi, ReadsTotalsAndSaysWhenItIsOff) {
                   {"proc/pressure/io", lines}};
   const Discovery found = discover_only(tree.root({{"proc/pressure/io", EOPNOTSUPP}}), "psi");
   EXPECT_THAT(names_of(found), ElementsAre("psi.cpu.some"));
-  EXPECT_THAT(found.missing, missing_because("not supported", "psi=1"));
+  EXPECT_THAT(found.missing,
+              missing_because("not supported; on that machine: boot with psi=1", ""));
   EXPECT_THAT(found.missing, missing_because("no line with 'total='", ""));
   const Discovery all = discover_only(tree.root(), "psi");
   EXPECT_THAT(names_of(all), ElementsAre("psi.cpu.some", "psi.io.some", "psi.io.full"));

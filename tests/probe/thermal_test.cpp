@@ -163,6 +163,11 @@ TEST(CoolingDevice, OfTheOnlyDevfreqDeviceBelongsToItsGpu) {
                   {zones + "cooling_device0/max_state", "4\n"},
                   {"sys/class/devfreq/ff9a0000.gpu/cur_freq", "200000000\n"}};
   EXPECT_EQ(channel_called(find(tree.root(), "thermal"), state).gpu, "ff9a0000.gpu");
+  // As kernels of Jetsons call it.
+  tree.write({{zones + "cooling_device0/type", "gpu-balanced\n"}});
+  EXPECT_EQ(channel_called(find(tree.root(), "thermal"), "thermal.cooling.gpu-balanced.state").gpu,
+            "ff9a0000.gpu");
+  tree.write({{zones + "cooling_device0/type", "thermal-devfreq-0\n"}});
   tree.write({{"sys/class/devfreq/dmc/cur_freq", "800000000\n"}});
   const Discovery either = find(tree.root(), "thermal");
   EXPECT_EQ(channel_called(either, state).gpu, "");
