@@ -105,6 +105,33 @@ std::map<CellKey, CellFrames> gather_frames(const RunRecord& run, const TrialByI
   return cells;
 }
 
+/// Frames that share their time with another: what they took and drew is not theirs alone. What the
+/// clocks may be off by overlaps nothing.
+void warn_about_overlaps(const RunRecord& run, const std::map<CellKey, CellFrames>& cells,
+                         std::vector<std::string>& warnings) {
+  std::vector<const FrameRecord*> timed;
+  for (const auto& [key, cell] : cells)
+    for (const std::size_t i : cell.timed) timed.push_back(&run.frames[i]);
+  std::sort(timed.begin(), timed.end(),
+            [](const FrameRecord* a, const FrameRecord* b) { return a->begin_ns < b->begin_ns; });
+  std::size_t overlap_count = 0;
+  const FrameRecord* longest = nullptr;  // that of the frames so far which ends last
+  for (const FrameRecord* frame : timed) {
+    if (longest != nullptr) {
+      const int64_t tolerance_ns =
+          std::max(longest->clock_error_ns.value_or(0) + frame->clock_error_ns.value_or(0),
+                   (frame->end_ns - frame->begin_ns) / 100);
+      if (longest->end_ns - frame->begin_ns > tolerance_ns) ++overlap_count;
+    }
+    if (longest == nullptr || frame->end_ns > longest->end_ns) longest = frame;
+  }
+  if (overlap_count > 0)
+    warnings.push_back(fmt::format(
+        "{} of {} begin before another has ended: what happened then counts for both, and what "
+        "they took or drew is not theirs alone.",
+        overlap_count, counted(timed.size(), "timed frame")));
+}
+
 std::optional<double> median_of(const std::vector<double>& values) {
   if (values.empty()) return std::nullopt;
   return median(values);
@@ -163,7 +190,7 @@ nlohmann::json object_or_null(const std::string& text) {
 
 std::optional<double> score_of(std::span<const double> times_ms, const ScoreConfig& config) {
   const auto deviation = stddev(times_ms);
-  if (!deviation) return std::nullopt;
+  if (!deviation || (config.weight_mean == 0 && config.weight_stddev == 0)) return std::nullopt;
   return config.weight_mean * truncated_mean(times_ms, config.truncate) +
          config.weight_stddev * *deviation;
 }
@@ -362,6 +389,10 @@ std::vector<double> quotients(const std::vector<double>& scores, const std::vect
 
 std::vector<RankingRow> rank(const std::vector<Cell>& cells, const ScoreConfig& config,
                              std::vector<std::string>& warnings) {
+  if (config.weight_mean == 0 && config.weight_stddev == 0) {
+    if (!cells.empty()) warnings.push_back("There is no ranking: both weights of the score are 0.");
+    return {};
+  }
   const Scored scored = scored_cells(cells, warnings);
   const std::vector<Place> common = common_places(scored, warnings);
   if (common.empty()) return {};
@@ -563,6 +594,7 @@ std::string headline(const Analysis& analysis) {
 Analysis analyze_frames(const RunRecord& run) {
   Analysis analysis;
   std::vector<std::string>& warnings = analysis.warnings;
+  warnings = run.left_out;
   analysis.run = read_facts(run, warnings);
   analysis.flags = read_flags(analysis.run);
   analysis.score = read_score_config(analysis.run, warnings);
@@ -573,6 +605,7 @@ Analysis analyze_frames(const RunRecord& run) {
 
   const TrialById trials = index_trials(run);
   const auto frames = gather_frames(run, trials, AlgorithmOrder(analysis.run.config), warnings);
+  warn_about_overlaps(run, frames, warnings);
   for (const auto& [key, cell_frames] : frames)
     if (!cell_frames.timed.empty())
       analysis.cells.push_back(make_cell(run, key, cell_frames, analysis.score));

@@ -543,6 +543,9 @@ class Pricing {
     std::size_t width = 0;                      // rows, and the idle power behind them
     std::vector<std::vector<double>> ata, atb;  // by block
     std::vector<std::set<std::size_t>> blocks;  // by row
+    std::vector<double> squares;                // by row: of frames, over equations
+    // By row and block: frames x how far the end may be off where work is, less the begin.
+    std::vector<std::vector<double>> leaning;
     std::size_t count = 0;
   };
 
@@ -551,8 +554,10 @@ class Pricing {
     Equations e;
     e.width = plan_.rows.size() + 1;
     e.blocks.resize(plan_.rows.size());
+    e.squares.assign(plan_.rows.size(), 0.0);
     const std::size_t block_count =
         std::min(max_block_count, std::max<std::size_t>(plan_.stretches.size(), 1));
+    e.leaning.assign(plan_.rows.size(), std::vector<double>(block_count, 0.0));
     e.ata.assign(block_count, std::vector<double>(e.width * e.width, 0.0));
     e.atb.assign(block_count, std::vector<double>(e.width, 0.0));
 
@@ -600,10 +605,13 @@ class Pricing {
     std::vector<Update> updates;
     std::size_t span = 0;
     std::size_t quiet = 0;
-    const auto overlaps_work = [&](int64_t begin_ns, int64_t end_ns) {
-      std::size_t k = span;
-      while (k < spans.size() && spans[k].end_ns <= begin_ns) ++k;
-      return k < spans.size() && spans[k].begin_ns < end_ns;
+    const auto share_of_work = [&](int64_t begin_ns, int64_t end_ns) {
+      int64_t work_ns = 0;
+      for (std::size_t k = span; k < spans.size() && spans[k].begin_ns < end_ns; ++k)
+        work_ns += std::max<int64_t>(
+            0, std::min(end_ns, spans[k].end_ns) - std::max(begin_ns, spans[k].begin_ns));
+      return static_cast<double>(work_ns) /
+             static_cast<double>(std::max<int64_t>(1, end_ns - begin_ns));
     };
     for (std::size_t i = 1; i < t_ns.size(); ++i) {
       Update& update = updates.emplace_back();
@@ -629,8 +637,8 @@ class Pricing {
       update.known = !foreign && known_ns * 20 >= (update.end_ns - update.begin_ns) * 19;
       update.joules = curve_.joules()[i] - curve_.joules()[i - 1];
       update.blur_ns = curve_.blur_ns()[i];
-      update.begins_calmly = i > 1 && updates[i - 2].ends_calmly;
-      update.ends_calmly = !overlaps_work(t_ns[i] - update.blur_ns, t_ns[i] + update.blur_ns);
+      update.begin_work = i > 1 ? updates[i - 2].end_work : 1;
+      update.end_work = share_of_work(t_ns[i] - update.blur_ns, t_ns[i] + update.blur_ns);
     }
     add_updates(updates, e);
     solve(e);
@@ -641,11 +649,11 @@ class Pricing {
   struct Update {
     int64_t begin_ns = 0;
     int64_t end_ns = 0;
-    bool known = false;          // all that was done then
-    bool quiet = true;           // no frame
-    bool begins_calmly = false;  // nor where its begin may really have been
-    bool ends_calmly = false;
-    int64_t blur_ns = 0;                   // how far off its end may be
+    bool known = false;     // all that was done then
+    bool quiet = true;      // no frame
+    double begin_work = 1;  // share of work in the time in which its begin may really have been
+    double end_work = 1;
+    int64_t blur_ns = 0;                   // half of that time
     std::map<std::size_t, double> frames;  // by row
     double joules = 0;
   };
@@ -671,7 +679,7 @@ class Pricing {
       else
         sum = update;
       const bool work_follows = i + 1 < updates.size() && !updates[i + 1].quiet;
-      const bool is_between = update.ends_calmly && (!sum->quiet || work_follows);
+      const bool is_between = update.end_work == 0 && (!sum->quiet || work_follows);
       if (is_between || sum->end_ns - sum->begin_ns >= window_ns_) finish();
     }
     finish();
@@ -680,14 +688,14 @@ class Pricing {
   /// Whether only one end is blurred, and so much that all of a run may lean to the same side: what
   /// reads the counter as often as it moves, meets it in the same phase all the time.
   [[nodiscard]] bool leans(const Update& update) const {
-    return update.begins_calmly != update.ends_calmly &&
+    return (update.begin_work == 0) != (update.end_work == 0) &&
            static_cast<double>(update.blur_ns) >
                max_blur_ratio * static_cast<double>(curve_.update_ns());
   }
 
   static void extend(Update& sum, const Update& next) {
     sum.end_ns = next.end_ns;
-    sum.ends_calmly = next.ends_calmly;
+    sum.end_work = next.end_work;
     sum.blur_ns = std::max(sum.blur_ns, next.blur_ns);
     sum.quiet = sum.quiet && next.quiet;
     sum.joules += next.joules;
@@ -712,6 +720,22 @@ class Pricing {
       e.atb[block][a] += amount * update.joules;
       if (a + 1 < e.width) e.blocks[a].insert(block);
     }
+    const double lean_s = (update.end_work - update.begin_work) * seconds(update.blur_ns);
+    for (const auto& [row, frames] : update.frames) {
+      e.squares[row] += frames * frames;
+      e.leaning[row][block] += lean_s * frames;
+    }
+  }
+
+  /// What a row's energy may be off by, as a ratio and one standard deviation, because all updates
+  /// of the counter were somewhat earlier or later than they seem: polls that always meet it in the
+  /// same phase do not tell which. Equations of which only one end is blurred then have a little
+  /// less or more work than they seem to.
+  [[nodiscard]] double lean_ratio(std::size_t r) const {
+    const Equations& e = *equations_;
+    double off_s = 0;
+    for (double lean_s : e.leaning[r]) off_s += std::fabs(lean_s) / std::sqrt(3.0);
+    return off_s / plan_.mean_frame_s[r] / e.squares[r];
   }
 
   /// The block of the last trial that begins before t_ns.
@@ -783,13 +807,15 @@ class Pricing {
     const double gross_j = net_j + base_w * rest_per_frame_s;
     const auto block_count = static_cast<double>(e.blocks[r].size());
     const double correction = std::sqrt(block_count / (block_count - 1));
-    const double error = *stddev(gross) * correction;
+    // What the whole draws flows through the ends of the equations.
+    const double lean_j = gross_j * lean_ratio(r);
+    const double error = std::hypot(*stddev(gross) * correction, lean_j);
     row.edge_error_ratio = error / gross_j;
     if (!(*row.edge_error_ratio <= config_.max_error_ratio)) return false;
     row.gross_joules_per_frame = around(gross_j, error, block_count - 1);
     row.idle_w = base_w * rest_s / stretch_s;
     row.window_count = e.blocks[r].size();
-    set_net(row, around(net_j, *stddev(net) * correction, block_count - 1),
+    set_net(row, around(net_j, std::hypot(*stddev(net) * correction, lean_j), block_count - 1),
             rays_known ? std::optional(ray_count / frame_count) : std::nullopt,
             plan_.mean_frame_s[r], stretch_s);
     return true;

@@ -90,12 +90,35 @@ ChannelTrack::ChannelTrack(const Channel& channel, const SampleSeries& series,
   }
 }
 
+/// Polls are spaced nearly evenly: begins where even spacing has `t_ns`, and widens from there.
+std::size_t ChannelTrack::first_from(int64_t t_ns) const {
+  const std::size_t n = t_ns_.size();
+  if (n == 0 || t_ns <= t_ns_.front()) return 0;
+  if (t_ns > t_ns_.back()) return n;
+  const double share =
+      static_cast<double>(t_ns - t_ns_.front()) / static_cast<double>(t_ns_.back() - t_ns_.front());
+  std::size_t low = static_cast<std::size_t>(share * static_cast<double>(n - 1));
+  std::size_t high = low;
+  for (std::size_t step = 1; low > 0 && t_ns_[low] >= t_ns; step *= 2) {
+    high = low;
+    low -= std::min(low, step);
+  }
+  for (std::size_t step = 1; t_ns_[high] < t_ns; step *= 2) {
+    low = high;
+    high = std::min(n - 1, high + step);
+  }
+  const auto begin = t_ns_.begin();
+  const auto found = std::lower_bound(begin + static_cast<std::ptrdiff_t>(low),
+                                      begin + static_cast<std::ptrdiff_t>(high), t_ns);
+  return static_cast<std::size_t>(found - begin);
+}
+
 std::optional<double> ChannelTrack::mean_over(int64_t begin_ns, int64_t end_ns) const {
   // Covered time and integral from the first sample up to t_ns.
   const auto up_to = [&](int64_t t_ns) {
-    const auto next = std::upper_bound(t_ns_.begin(), t_ns_.end(), t_ns);
-    if (next == t_ns_.begin()) return std::pair(0.0, 0.0);
-    const auto i = static_cast<std::size_t>(next - t_ns_.begin()) - 1;
+    const std::size_t next = first_from(t_ns + 1);
+    if (next == 0) return std::pair(0.0, 0.0);
+    const std::size_t i = next - 1;
     const double held_s = seconds(std::min(t_ns - t_ns_[i], stale_after_polls * poll_ns_));
     return std::pair(covered_s_[i] + held_s, integral_[i] + held_s * (value_[i] - value_[0]));
   };
@@ -110,18 +133,18 @@ std::optional<double> ChannelTrack::mean_over(int64_t begin_ns, int64_t end_ns) 
 
 std::optional<double> ChannelTrack::inside(int64_t begin_ns, int64_t end_ns) const {
   if (kind_ == Kind::cumulative) return std::nullopt;
-  const auto first = std::lower_bound(t_ns_.begin(), t_ns_.end(), begin_ns) - t_ns_.begin();
-  const auto last = std::lower_bound(t_ns_.begin() + first, t_ns_.end(), end_ns) - t_ns_.begin();
+  const std::size_t first = first_from(begin_ns);
+  std::size_t last = first;
+  double sum = 0;
+  for (; last < t_ns_.size() && t_ns_[last] < end_ns; ++last) sum += value_[last];
   if (first == last) return std::nullopt;
-  return std::accumulate(value_.begin() + first, value_.begin() + last, 0.0) /
-         static_cast<double>(last - first);
+  return sum / static_cast<double>(last - first);
 }
 
 double ChannelTrack::counter_at(int64_t t_ns) const {
-  const auto next = std::upper_bound(t_ns_.begin(), t_ns_.end(), t_ns);
-  if (next == t_ns_.begin()) return value_.front();
-  if (next == t_ns_.end()) return value_.back();
-  const auto i = static_cast<std::size_t>(next - t_ns_.begin());
+  const std::size_t i = first_from(t_ns + 1);
+  if (i == 0) return value_.front();
+  if (i == t_ns_.size()) return value_.back();
   const double share =
       static_cast<double>(t_ns - t_ns_[i - 1]) / static_cast<double>(t_ns_[i] - t_ns_[i - 1]);
   return value_[i - 1] + share * (value_[i] - value_[i - 1]);
@@ -149,9 +172,8 @@ std::optional<double> ChannelTrack::over(int64_t begin_ns, int64_t end_ns) const
 }
 
 std::size_t ChannelTrack::sample_count(int64_t begin_ns, int64_t end_ns) const {
-  const auto first = std::lower_bound(t_ns_.begin(), t_ns_.end(), begin_ns);
-  const auto last = std::lower_bound(first, t_ns_.end(), end_ns);
-  return static_cast<std::size_t>(last - first);
+  const std::size_t first = first_from(begin_ns);
+  return std::max(first_from(end_ns), first) - first;
 }
 
 std::vector<std::optional<double>> align(const Channel& channel, const SampleSeries& series,

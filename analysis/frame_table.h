@@ -79,6 +79,8 @@ class ChannelTrack {
  private:
   [[nodiscard]] std::optional<double> mean_over(int64_t begin_ns, int64_t end_ns) const;
   [[nodiscard]] double counter_at(int64_t t_ns) const;
+  /// The first reading at t_ns or later; their number if there is none.
+  [[nodiscard]] std::size_t first_from(int64_t t_ns) const;
 
   Kind kind_;
   std::vector<int64_t> t_ns_;

@@ -33,6 +33,13 @@ class Meta {
     return std::nullopt;
   }
 
+  std::optional<int64_t> moment(const std::string& key) const {
+    const auto t_ns = integer(key);
+    if (!t_ns || is_moment(*t_ns)) return t_ns;
+    warnings_.push_back(fmt::format("meta {}: {} is no time; taken as unknown.", key, *t_ns));
+    return std::nullopt;
+  }
+
   bool flag(const std::string& key) const { return integer(key).value_or(0) != 0; }
 
   nlohmann::json json(const std::string& key) const {
@@ -68,8 +75,8 @@ std::optional<CommandFacts> read_command(const Meta& meta) {
   if (!text) return std::nullopt;
   CommandFacts command;
   command.text = *text;
-  command.begin_ns = meta.integer("command_begin_ns");
-  command.end_ns = meta.integer("command_end_ns");
+  command.begin_ns = meta.moment("command_begin_ns");
+  command.end_ns = meta.moment("command_end_ns");
   command.exit_code = meta.integer("command_exit_code");
   command.signal = meta.integer("command_signal");
   return command;
@@ -154,8 +161,8 @@ RunFacts read_facts(const RunRecord& run, std::vector<std::string>& warnings) {
   facts.command = read_command(meta);
 
   const auto [first_ns, last_ns] = time_range(run);
-  const auto end_ns = meta.integer("end_ns");
-  facts.begin_ns = meta.integer("begin_ns").value_or(first_ns);
+  const auto end_ns = meta.moment("end_ns");
+  facts.begin_ns = meta.moment("begin_ns").value_or(first_ns);
   facts.end_ns = std::max(end_ns.value_or(last_ns), facts.begin_ns);
   facts.ending = meta.flag("interrupted") ? Ending::interrupted
                  : end_ns                 ? Ending::complete
@@ -199,9 +206,17 @@ std::vector<Flag> read_flags(const RunFacts& facts) {
 
 ScoreConfig read_score_config(const RunFacts& facts, std::vector<std::string>& warnings) {
   ScoreConfig score;
-  if (!facts.config.is_object()) return score;
+  if (!facts.config.is_object()) {
+    if (!facts.config.is_null())
+      warnings.push_back("meta config: not an object; the score has its usual weights.");
+    return score;
+  }
   const auto block = facts.config.find("analysis");
   if (block == facts.config.end()) return score;
+  if (!block->is_object()) {
+    warnings.push_back("config: /analysis is not an object; the score has its usual weights.");
+    return score;
+  }
   score.truncate = number_or(*block, "truncate", score.truncate, true, warnings);
   score.weight_mean = number_or(*block, "weight_mean", score.weight_mean, false, warnings);
   score.weight_stddev = number_or(*block, "weight_stddev", score.weight_stddev, false, warnings);

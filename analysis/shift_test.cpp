@@ -54,7 +54,10 @@ double widening_of(std::vector<double> largest, std::vector<double> single) {
 
 ShiftTest::ShiftTest(std::vector<std::size_t> trial_lengths, Config config) : config_(config) {
   count_ = std::accumulate(trial_lengths.begin(), trial_lengths.end(), std::size_t{0});
-  const bool is_short = count_ < config_.shift_count;
+  // Of the whole run every shift counts but the nearest: a fiftieth of all at most on each side.
+  const std::size_t near =
+      std::min(count_ / 50, 2 * count_ / std::max<std::size_t>(1, trial_lengths.size()));
+  const bool is_short = count_ < config_.shift_count + 2 * std::max(near, 2 * config_.max_lag) + 1;
   const std::size_t piece_length = std::max(count_ / min_piece_count, min_piece_length);
   for (std::size_t length : trial_lengths) {
     std::size_t piece_count = 1;

@@ -138,6 +138,11 @@ struct WideRead {
   int64_t width_ns = 0;
 };
 
+/// Moments from here on, to either side of 0, are no times of a clock: 146 years. The difference of
+/// two others never overflows.
+inline constexpr int64_t endless_ns = int64_t{1} << 62;
+constexpr bool is_moment(int64_t t_ns) { return t_ns > -endless_ns && t_ns < endless_ns; }
+
 /// A whole recorded run, as read back from run.sqlite.
 struct RunRecord {
   std::map<std::string, std::string> meta;
@@ -148,6 +153,7 @@ struct RunRecord {
   std::vector<FrameRecord> frames;                      ///< by submit_ns
   std::vector<SelfCheckFrame> self_check;               ///< by begin_ns
   std::vector<Event> events;                            ///< by t_ns
+  std::vector<std::string> left_out;  ///< what of the file cannot be used, a sentence each
 };
 
 std::string_view to_string(Phase phase);

@@ -2,17 +2,22 @@
 
 #include <fmt/format.h>
 #include <fmt/std.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <cctype>
+#include <cerrno>
 #include <cmath>
 #include <condition_variable>
+#include <limits>
 #include <map>
 #include <mutex>
 #include <numeric>
 #include <set>
 #include <stdexcept>
+#include <system_error>
 #include <thread>
+#include <utility>
 
 #include "core/sqlite.h"
 
@@ -420,10 +425,28 @@ std::optional<double> optional_real(const Statement& s, int column) {
   return s.real(column);
 }
 
-template <class T>
-T parse_name(std::optional<T> parsed, std::string_view column, const std::string& text) {
-  if (!parsed) throw std::runtime_error(fmt::format("{} '{}' is not known", column, text));
-  return *parsed;
+/// Rows that say too little to be used, counted by what they lack.
+class LeftOut {
+ public:
+  void count(const std::string& what) { ++counts_[what]; }
+  void tell(RunRecord& run) const {
+    for (const auto& [what, count] : counts_)
+      run.left_out.push_back(fmt::format("Left out: {}: {}.", what, count));
+  }
+
+ private:
+  std::map<std::string, std::size_t> counts_;
+};
+
+std::optional<int64_t> moment(const Statement& s, int column) {
+  const std::optional<int64_t> t_ns = s.optional_integer(column);
+  return t_ns && is_moment(*t_ns) ? t_ns : std::nullopt;
+}
+
+/// What cannot be negative.
+std::optional<int64_t> amount(const Statement& s, int column) {
+  const std::optional<int64_t> value = s.optional_integer(column);
+  return value && *value >= 0 ? value : std::nullopt;
 }
 
 Phase parse_phase(const std::string& text) {
@@ -466,14 +489,29 @@ void read_channels(Database& db, RunRecord& run) {
                          {}, "id"));
   while (s.next()) {
     Channel c;
-    c.id = static_cast<int32_t>(s.integer(0));
     c.name = s.text(1);
+    const auto leave_out = [&](const std::string& why) {
+      run.left_out.push_back(fmt::format("Left out: channel '{}', {}.", c.name, why));
+    };
+    if (!std::in_range<int32_t>(s.integer(0))) {
+      leave_out(fmt::format("whose id is {}, which does not fit 32 bits", s.integer(0)));
+      continue;
+    }
+    c.id = static_cast<int32_t>(s.integer(0));
     c.source = s.text(2);
-    c.quantity = parse_name(parse_quantity(s.text(3)), "channels.quantity", s.text(3));
+    const auto quantity = parse_quantity(s.text(3));
+    const auto kind = parse_kind(s.text(5));
+    if (!quantity || !kind) {
+      leave_out(quantity ? fmt::format("as its kind '{}' is not known", s.text(5))
+                         : fmt::format("as its quantity '{}' is not known", s.text(3)));
+      continue;
+    }
+    c.quantity = *quantity;
+    c.kind = *kind;
     c.unit_text = s.text(4);
     c.unit = parse_unit(c.unit_text).value_or(Unit::none);
-    c.kind = parse_name(parse_kind(s.text(5)), "channels.kind", s.text(5));
-    c.wrap_at = s.optional_integer(6);
+    c.wrap_at = amount(s, 6);
+    if (c.wrap_at == 0) c.wrap_at.reset();
     c.period_ns = s.optional_integer(7).value_or(0);
     c.read_cost_ns = s.optional_integer(8);
     c.origin = s.text(9);
@@ -528,6 +566,10 @@ void sort_by_time(SampleSeries& series) {
 /// than to read them.
 void read_samples(Database& db, RunRecord& run) {
   Statement s(db, select(db, "samples", {"channel_id", "t_ns", "value"}, {}, ""));
+  for (const Channel& channel : run.channels) run.series[channel.id];
+  std::set<int64_t> recorded;
+  for (Statement all(db, "SELECT id FROM channels"); all.next();) recorded.insert(all.integer(0));
+  LeftOut left_out;
   int64_t channel_id = 0;
   SampleSeries* series = nullptr;
   struct Infinite {
@@ -537,17 +579,31 @@ void read_samples(Database& db, RunRecord& run) {
   std::map<int32_t, Infinite> infinite;
   while (s.next()) {
     if (s.is_null(2)) continue;
-    const int64_t id = s.integer(0);
-    if (series == nullptr || id != channel_id) series = &run.series[static_cast<int32_t>(id)];
-    channel_id = id;
+    const std::optional<int64_t> id = s.optional_integer(0);
+    const std::optional<int64_t> t_ns = moment(s, 1);
+    if (!id || !t_ns) {
+      left_out.count("samples without a channel or a possible time");
+      continue;
+    }
+    if (series == nullptr || *id != channel_id) {
+      const auto found = std::in_range<int32_t>(*id) ? run.series.find(static_cast<int32_t>(*id))
+                                                     : run.series.end();
+      if (found == run.series.end()) {
+        // Those of channels that were left out need no word of their own.
+        if (!recorded.contains(*id)) left_out.count("samples of channels that are not recorded");
+        continue;
+      }
+      series = &found->second;
+      channel_id = *id;
+    }
     const double value = s.real(2);
     if (!std::isfinite(value)) {
       Infinite& channel =
-          infinite.try_emplace(static_cast<int32_t>(id), Infinite{s.integer(1)}).first->second;
+          infinite.try_emplace(static_cast<int32_t>(*id), Infinite{*t_ns}).first->second;
       ++channel.count;
       continue;
     }
-    series->t_ns.push_back(s.integer(1));
+    series->t_ns.push_back(*t_ns);
     series->value.push_back(value);
   }
   for (const auto& [id, channel] : infinite) {
@@ -559,7 +615,9 @@ void read_samples(Database& db, RunRecord& run) {
     event.text = fmt::format("{} of its samples are infinite and were left out", channel.count);
     run.events.push_back(std::move(event));
   }
+  std::erase_if(run.series, [](const auto& entry) { return entry.second.t_ns.empty(); });
   for (auto& [id, each] : run.series) sort_by_time(each);
+  left_out.tell(run);
 }
 
 void read_wide_reads(Database& db, RunRecord& run) {
@@ -587,8 +645,9 @@ void read_trials(Database& db, RunRecord& run) {
     t.algorithm = s.text(3);
     t.repetition = s.optional_integer(4).value_or(0);
     t.position = s.optional_integer(5).value_or(0);
-    t.begin_ns = s.integer(6);
-    t.end_ns = s.optional_integer(7);
+    // Of a trial that never began, or whose begin another tool does not tell: see begin_trials().
+    t.begin_ns = moment(s, 6).value_or(endless_ns);
+    t.end_ns = moment(s, 7);
     t.skip_reason = s.text(8);
     t.build_ns = s.optional_integer(9);
     t.blob_bytes = s.optional_integer(10);
@@ -618,27 +677,60 @@ void read_frames(Database& db, RunRecord& run) {
                           "node_visit_count", "prim_test_count"},
                          {"box_test_count", "dispatch_count", "loop_step_count", "simd_efficiency"},
                          "begin_ns, id"));
+  LeftOut left_out;
   while (s.next()) {
     FrameRecord f;
-    f.id = s.integer(0);
-    f.trial_id = s.integer(1);
-    f.frame = s.integer(2);
     f.phase = parse_phase(s.text(3));
-    f.begin_ns = s.integer(5);
-    f.end_ns = s.integer(6);
-    f.submit_ns = s.optional_integer(4).value_or(f.begin_ns);
-    f.clock_error_ns = s.optional_integer(7);
-    f.ray_count = s.optional_integer(8);
-    f.hit_count = s.optional_integer(9);
+    const auto trial_id = s.optional_integer(1);
+    const auto frame = s.optional_integer(2);
+    const auto begin_ns = moment(s, 5);
+    const auto end_ns = moment(s, 6);
+    if (!trial_id || !frame || !begin_ns || !end_ns) {
+      left_out.count("frames without a trial, a number, or a possible begin and end");
+      continue;
+    }
+    f.id = s.integer(0);
+    f.trial_id = *trial_id;
+    f.frame = *frame;
+    f.begin_ns = *begin_ns;
+    f.end_ns = *end_ns;
+    f.submit_ns = moment(s, 4).value_or(f.begin_ns);
+    f.clock_error_ns = amount(s, 7);
+    f.ray_count = amount(s, 8);
+    f.hit_count = amount(s, 9);
     f.hit_checksum = s.text(10);
-    f.node_visit_count = s.optional_integer(11);
-    f.prim_test_count = s.optional_integer(12);
-    f.box_test_count = s.optional_integer(13);
-    f.dispatch_count = s.optional_integer(14);
-    f.loop_step_count = s.optional_integer(15);
+    f.node_visit_count = amount(s, 11);
+    f.prim_test_count = amount(s, 12);
+    f.box_test_count = amount(s, 13);
+    f.dispatch_count = amount(s, 14);
+    f.loop_step_count = amount(s, 15);
     f.simd_efficiency = optional_real(s, 16);
     run.frames.push_back(std::move(f));
   }
+  left_out.tell(run);
+}
+
+/// A trial whose begin is not recorded began with its first frame; one without frames that never
+/// began stands where the run ended.
+void begin_trials(RunRecord& run) {
+  std::map<int64_t, Trial*> open;
+  int64_t last_ns = std::numeric_limits<int64_t>::min();
+  for (Trial& trial : run.trials)
+    if (trial.begin_ns == endless_ns)
+      open[trial.id] = &trial;
+    else
+      last_ns = std::max(last_ns, trial.end_ns.value_or(trial.begin_ns));
+  if (open.empty()) return;
+  for (const FrameRecord& frame : run.frames) {
+    last_ns = std::max(last_ns, frame.end_ns);
+    if (const auto found = open.find(frame.trial_id); found != open.end())
+      found->second->begin_ns = std::min(found->second->begin_ns, frame.begin_ns);
+  }
+  for (const auto& [id, trial] : open)
+    if (trial->begin_ns == endless_ns)
+      trial->begin_ns = trial->end_ns.value_or(is_moment(last_ns) ? last_ns : 0);
+  std::stable_sort(run.trials.begin(), run.trials.end(),
+                   [](const Trial& a, const Trial& b) { return a.begin_ns < b.begin_ns; });
 }
 
 void read_self_check(Database& db, RunRecord& run) {
@@ -652,16 +744,35 @@ void read_self_check(Database& db, RunRecord& run) {
 void read_events(Database& db, RunRecord& run) {
   Statement s(db, select(db, "events", {"t_ns", "end_ns", "severity", "kind", "channel_id", "text"},
                          {}, "t_ns"));
+  LeftOut left_out;
   while (s.next()) {
     Event e;
-    e.t_ns = s.integer(0);
-    e.end_ns = s.optional_integer(1);
+    const auto t_ns = moment(s, 0);
+    if (!t_ns) {
+      left_out.count("events without a possible time");
+      continue;
+    }
+    e.t_ns = *t_ns;
+    e.end_ns = moment(s, 1);
     e.severity = parse_severity(s.text(2));
     e.kind = s.text(3);
     if (!s.is_null(4)) e.channel_id = static_cast<int32_t>(s.integer(4));
     e.text = s.text(5);
     run.events.push_back(std::move(e));
   }
+  left_out.tell(run);
+}
+
+/// Why SQLite cannot open a file, which it does not say; empty if it is not known here either.
+std::string why_unopened(const std::filesystem::path& file) {
+  if (::access(file.c_str(), R_OK) != 0) return std::system_category().message(errno);
+  std::error_code none;
+  if (std::filesystem::exists(file.string() + "-wal", none))
+    return fmt::format(
+        "it was not closed, and '{}-wal' beside it can only be read where a file may be made. Copy "
+        "both to a directory that can be written to",
+        file.filename().string());
+  return {};
 }
 
 }  // namespace
@@ -688,11 +799,15 @@ RunRecord read_run(const std::filesystem::path& run) {
     read_wide_reads(db, record);
     read_trials(db, record);
     read_frames(db, record);
+    begin_trials(record);
     read_self_check(db, record);
     read_events(db, record);
     return record;
   } catch (const std::runtime_error& error) {
-    throw std::runtime_error(fmt::format("cannot read run '{}': {}.", file.string(), error.what()));
+    std::string why = error.what();
+    if (why.find("unable to open") != std::string::npos)
+      if (std::string known = why_unopened(file); !known.empty()) why = std::move(known);
+    throw std::runtime_error(fmt::format("cannot read run '{}': {}.", file.string(), why));
   }
 }
 

@@ -272,6 +272,36 @@ TEST(Analyze, LeavesOutFramesThatCannotBe) {
   EXPECT_THAT(analysis.warnings, Contains(HasSubstr("their trial is not recorded: 1 frame.")));
 }
 
+TEST(Analyze, FramesThatOverlapAreAWarning) {
+  RunBuilder builder;
+  builder.add_trial("m", 0, "A", std::vector<double>(20, 10.0));
+  for (FrameRecord& frame : builder.run.frames) frame.clock_error_ns = 100'000;
+  EXPECT_THAT(analyze(builder.run).warnings, Not(Contains(HasSubstr("before another has ended"))));
+  // Within what the clocks may be off by, then beyond it.
+  builder.run.frames[4].end_ns += 150'000;
+  EXPECT_THAT(analyze(builder.run).warnings, Not(Contains(HasSubstr("before another has ended"))));
+  builder.run.frames[4].end_ns += 15'000'000;
+  EXPECT_THAT(analyze(builder.run).warnings,
+              Contains(HasSubstr("2 of 20 timed frames begin before another has ended")));
+}
+
+TEST(Analyze, WeightsOfNothingRankNothing) {
+  RunBuilder builder;
+  builder.run.meta["config"] = R"({"analysis":{"weight_mean":0,"weight_stddev":0}})";
+  builder.add_trial("m", 0, "A", {1, 2, 3, 4});
+  builder.add_trial("m", 0, "B", {2, 3, 4, 5});
+  const Analysis analysis = analyze(builder.run);
+  EXPECT_TRUE(analysis.ranking.empty());
+  EXPECT_EQ(analysis.cells.at(0).score_ms, std::nullopt);
+  EXPECT_THAT(analysis.warnings, Contains(HasSubstr("both weights of the score are 0")));
+}
+
+TEST(Analyze, WhatTheFileHadThatCannotBeUsedIsAWarning) {
+  RunBuilder builder;
+  builder.run.left_out = {"Left out: channel 'wet', as its quantity 'humidity' is not known."};
+  EXPECT_THAT(analyze(builder.run).warnings, Contains(HasSubstr("'wet'")));
+}
+
 TEST(Analyze, AlgorithmsComeInTheOrderOfTheConfig) {
   RunBuilder builder;
   builder.run.meta["config"] = R"({"algorithms":["Z","A"]})";
@@ -336,6 +366,17 @@ TEST(Analyze, OddMetaBecomesWarnings) {
   EXPECT_THAT(analysis.warnings, Contains(HasSubstr("/analysis/truncate: 7 is out of range")));
   EXPECT_THAT(analysis.warnings, Contains(HasSubstr("meta missing_sensors: not valid JSON")));
   EXPECT_THAT(analysis.warnings, Contains(HasSubstr("meta end_ns: 'soon'")));
+}
+
+TEST(Analyze, TimesThatAreNoneBecomeWarnings) {
+  RunBuilder builder;
+  builder.add_trial("m", 0, "A", {1, 2, 3, 4});
+  builder.run.meta["begin_ns"] = "-9223372036854775808";
+  builder.run.meta["config"] = R"({"analysis":[1]})";
+  const Analysis analysis = analyze(builder.run);
+  EXPECT_EQ(analysis.run.begin_ns, builder.run.trials.front().begin_ns);
+  EXPECT_THAT(analysis.warnings, Contains(HasSubstr("begin_ns: -9223372036854775808 is no time")));
+  EXPECT_THAT(analysis.warnings, Contains(HasSubstr("/analysis is not an object")));
 }
 
 TEST(Analyze, SensorsSayWhatTheyDelivered) {

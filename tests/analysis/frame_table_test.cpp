@@ -2,7 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <limits>
+#include <random>
 
 #include "analysis/analyze.h"
 #include "planted_run.h"
@@ -50,6 +52,30 @@ TEST(FrameTable, ACountersLeapWhileTheMachineSleptIsNoRate) {
   EXPECT_GT(*ChannelTrack(counter, series).over(1 * ms, 4 * ms), 100'000);
   const std::vector<Sleep> sleeps{{2 * ms + ms / 2, 2 * ms + ms / 2}};
   EXPECT_LE(*ChannelTrack(counter, series, sleeps).over(1 * ms, 4 * ms), 1000);
+}
+
+TEST(FrameTable, ReadingsAreFoundHoweverUnevenlyTheyLie) {
+  std::mt19937_64 random(3);
+  for (int round = 0; round < 50; ++round) {
+    SampleSeries series;
+    int64_t now_ns = 0;
+    for (std::size_t i = random() % 40; i > 0; --i) {
+      now_ns += 1 + static_cast<int64_t>(random() % (random() % 5 == 0 ? 10'000 : 10));
+      series.t_ns.push_back(now_ns);
+      series.value.push_back(1);
+    }
+    const ChannelTrack track(channel(Kind::gauge, Unit::none), series);
+    for (int trial = 0; trial < 200; ++trial) {
+      const int64_t begin_ns = static_cast<int64_t>(random() % 30'000) - 100;
+      const int64_t end_ns = begin_ns + static_cast<int64_t>(random() % 20'000);
+      const auto count = std::count_if(series.t_ns.begin(), series.t_ns.end(), [&](int64_t t_ns) {
+        return begin_ns <= t_ns && t_ns < end_ns;
+      });
+      ASSERT_EQ(track.sample_count(begin_ns, end_ns), static_cast<std::size_t>(count))
+          << "round " << round;
+      ASSERT_EQ(track.inside(begin_ns, end_ns).has_value(), count > 0);
+    }
+  }
 }
 
 TEST(FrameTable, AReadingIsStaleAfterThreePolls) {

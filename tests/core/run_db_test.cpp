@@ -7,6 +7,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <csignal>
 #include <fstream>
 #include <thread>
@@ -17,6 +18,7 @@ namespace energyprof {
 namespace {
 
 namespace fs = std::filesystem;
+using testing::ElementsAre;
 using testing::HasSubstr;
 
 class RunDb : public testing::Test {
@@ -263,15 +265,18 @@ TEST_F(RunDb, FullDiskKeepsWhatWasRecorded) {
 }
 
 TEST_F(RunDb, PulledSamplesAreRecordedUntilTheEnd) {
-  int pulls = 0;
+  std::atomic<int> pulls = 0;
   RunWriter::Config config;
   config.commit_period_ns = 1'000'000;
-  config.pull_samples = [&](std::vector<Sample>& out) { out.push_back({1, ++pulls, pulls}); };
+  config.pull_samples = [&](std::vector<Sample>& out) {
+    const int pull = ++pulls;
+    out.push_back({1, pull, pull});
+  };
   RunWriter writer(file(), std::move(config));
-  std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  writer.add_channel(example_channel());
+  while (pulls < 2) std::this_thread::sleep_for(std::chrono::milliseconds(1));
   writer.close();
   EXPECT_EQ(static_cast<int>(read_run(dir_).series.at(1).t_ns.size()), pulls);
-  EXPECT_GT(pulls, 1);
 }
 
 // A database as another tool may write it: the contract's columns, and nothing else.
@@ -308,7 +313,10 @@ TEST_F(RunDb, ReadsARunOfAnotherTool) {
 
 TEST_F(RunDb, SortsSamplesThatWereStoredInAnyOrder) {
   execute(foreign_run);
-  execute("INSERT INTO samples VALUES(2,30,3),(1,20,5),(2,10,1),(1,10,4),(2,20,2),(1,10,7);");
+  execute(
+      "INSERT INTO channels VALUES(1,'a','x','temperature','C','gauge',NULL,NULL,NULL,NULL),"
+      "(2,'b','x','temperature','C','gauge',NULL,NULL,NULL,NULL);"
+      "INSERT INTO samples VALUES(2,30,3),(1,20,5),(2,10,1),(1,10,4),(2,20,2),(1,10,7);");
   const RunRecord run = read_run(file());
   EXPECT_EQ(run.series.at(1).t_ns, (std::vector<int64_t>{10, 10, 20}));
   EXPECT_EQ(run.series.at(1).value, (std::vector<double>{4, 7, 5})) << "as stored, at equal times";
@@ -334,7 +342,10 @@ TEST_F(RunDb, TakesSeveritiesOfAnotherTool) {
 
 TEST_F(RunDb, LeavesOutInfiniteSamplesAndSaysSo) {
   execute(foreign_run);
-  execute("INSERT INTO samples VALUES(1,10,4),(1,20,9e999),(1,30,-9e999),(1,40,5);");
+  execute(
+      "INSERT INTO channels VALUES(1,'a','x','temperature','C','gauge',NULL,NULL,NULL,NULL),"
+      "(2,'b','x','temperature','C','gauge',NULL,NULL,NULL,NULL);"
+      "INSERT INTO samples VALUES(1,10,4),(1,20,9e999),(1,30,-9e999),(1,40,5);");
   const RunRecord run = read_run(file());
   EXPECT_EQ(run.series.at(1).value, (std::vector<double>{4, 5}));
   ASSERT_EQ(run.events.size(), 1u);
@@ -342,6 +353,56 @@ TEST_F(RunDb, LeavesOutInfiniteSamplesAndSaysSo) {
   EXPECT_EQ(run.events[0].channel_id, 1);
   EXPECT_EQ(run.events[0].t_ns, 20);
   EXPECT_THAT(run.events[0].text, HasSubstr("2 of its samples"));
+}
+
+TEST_F(RunDb, LeavesOutChannelsThatItCannotPlaceAndSaysSo) {
+  execute(foreign_run);
+  execute(
+      "INSERT INTO channels VALUES"
+      "(1,'good','x','temperature','C','gauge',0,NULL,NULL,NULL),"
+      "(2,'wet','x','humidity','%','gauge',NULL,NULL,NULL,NULL),"
+      "(3,'odd','x','power','W','histogram',NULL,NULL,NULL,NULL),"
+      "(4294967297,'far','x','power','W','gauge',NULL,NULL,NULL,NULL);"
+      "INSERT INTO samples VALUES(1,10,50),(4294967297,11,7),(1,20,51),(2,12,9),(9,13,1),(3,14,2),"
+      "(NULL,15,3),(1,NULL,4),(1,9223372036854775807,5),(1,-9223372036854775808,6);");
+  const RunRecord run = read_run(file());
+  ASSERT_EQ(run.channels.size(), 1u);
+  EXPECT_EQ(run.channels[0].wrap_at, std::nullopt) << "a counter that wraps at 0 does not count";
+  EXPECT_EQ(run.series.size(), 1u);
+  EXPECT_EQ(run.series.at(1).value, (std::vector<double>{50, 51}));
+  EXPECT_THAT(run.left_out,
+              ElementsAre(HasSubstr("'wet', as its quantity 'humidity'"),
+                          HasSubstr("'odd', as its kind 'histogram'"),
+                          HasSubstr("'far', whose id is 4294967297"),
+                          HasSubstr("samples of channels that are not recorded: 1."),
+                          HasSubstr("samples without a channel or a possible time: 4.")));
+}
+
+TEST_F(RunDb, LeavesOutFramesWithoutTimesAndSaysSo) {
+  execute(foreign_run);
+  execute(
+      "INSERT INTO trials VALUES(1,'m',0,'A',0,0,NULL,NULL,NULL,NULL,NULL),"
+      "(2,'m',0,'B',0,1,NULL,NULL,'no memory',NULL,NULL),"
+      "(3,'m',0,'C',0,2,40,60,NULL,NULL,NULL);"
+      "INSERT INTO frames VALUES(1,1,0,'timed',NULL,5,15,-1,-1,NULL,NULL,NULL,NULL),"
+      "(2,1,1,'timed',NULL,20,NULL,NULL,NULL,NULL,NULL,NULL,NULL),"
+      "(3,NULL,1,'timed',NULL,20,30,NULL,NULL,NULL,NULL,NULL,NULL),"
+      "(4,1,2,'timed',NULL,-9223372036854775808,9223372036854775807,NULL,NULL,NULL,NULL,NULL,NULL);"
+      "INSERT INTO events VALUES(NULL,NULL,'info','a',NULL,'x'),"
+      "(5,9223372036854775807,'info','b',NULL,'y');");
+  const RunRecord run = read_run(file());
+  ASSERT_EQ(run.frames.size(), 1u);
+  EXPECT_EQ(run.frames[0].ray_count, std::nullopt) << "-1 rays are unknown";
+  EXPECT_EQ(run.frames[0].clock_error_ns, std::nullopt);
+  ASSERT_EQ(run.trials.size(), 3u);
+  EXPECT_EQ(run.trials[0].id, 1);
+  EXPECT_EQ(run.trials[0].begin_ns, 5) << "that of its first frame";
+  EXPECT_EQ(run.trials[2].id, 2);
+  EXPECT_EQ(run.trials[2].begin_ns, 60) << "it never began: behind all that did";
+  ASSERT_EQ(run.events.size(), 1u);
+  EXPECT_EQ(run.events[0].end_ns, std::nullopt);
+  EXPECT_THAT(run.left_out, ElementsAre(HasSubstr("possible begin and end: 3."),
+                                        HasSubstr("events without a possible time: 1.")));
 }
 
 TEST_F(RunDb, TakesWhatAnotherToolKnowsOfChannels) {
