@@ -102,7 +102,7 @@ double t_quantile(double freedom) {
 
 Estimate around(double value, double standard_error, double freedom) {
   const double reach = t_quantile(freedom) * standard_error;
-  return {value, {value - reach, value + reach}};
+  return {value, {value - reach, value + reach}, standard_error, freedom};
 }
 
 /// The standard error of an estimate if it were normal: half of its interval over 1.96.
@@ -507,7 +507,9 @@ class Pricing {
     if (ray_count && *ray_count > 0) {
       const double factor = 1e9 / *ray_count;
       row.nj_per_ray = Estimate{joules.value * factor,
-                                {joules.interval.low * factor, joules.interval.high * factor}};
+                                {joules.interval.low * factor, joules.interval.high * factor},
+                                joules.standard_error * factor,
+                                joules.freedom};
     }
     row.watts_above_idle = joules.value / frame_s;
     row.edp_js = joules.value * frame_s;
