@@ -150,9 +150,25 @@ bool same_views(const Side& a, const Side& b, const EnergyRow& row) {
                     });
 }
 
-LogEstimate log_of(const Estimate& estimate) {
-  const double error = estimate.standard_error / estimate.value;
-  return {std::log(estimate.value), error * error, std::max(estimate.freedom, 1.0)};
+/// Of a row whose cells were traced once each, the variance that trials may have; else 0, as how
+/// they differ is in the row's own error.
+double unseen_variance(const Side& side, const EnergyRow& row) {
+  double cell_count = 0;
+  for (const auto& [key, frames] : side.cells) {
+    if (std::get<0>(key) != row.model || std::get<2>(key) != row.algorithm) continue;
+    if (frames.ms.size() > 1) return 0;
+    ++cell_count;
+  }
+  return assumed_trial_spread * assumed_trial_spread / cell_count;
+}
+
+LogEstimate log_of(const Estimate& estimate, double unseen) {
+  const double variance = std::pow(estimate.standard_error / estimate.value, 2);
+  // What is assumed is not estimated: it adds variance, and no uncertainty of that.
+  const double freedom = std::max(estimate.freedom, 1.0);
+  const double all = variance + unseen;
+  return {std::log(estimate.value), all,
+          unseen > 0 ? freedom * std::pow(all / variance, 2) : freedom};
 }
 
 void compare_energy(const Side& a, const Side& b, Comparison& result) {
@@ -181,8 +197,18 @@ void compare_energy(const Side& a, const Side& b, Comparison& result) {
     result.notes.emplace_back(
         "Energy is not compared: the runs do not both have joules per frame on the same channel.");
   std::vector<LogPair> pairs;
-  for (const auto& [row_a, row_b] : both)
-    pairs.push_back({log_of(*joules_of(*row_a)), log_of(*joules_of(*row_b))});
+  bool is_assumed = false;
+  for (const auto& [row_a, row_b] : both) {
+    const double unseen_a = unseen_variance(a, *row_a);
+    const double unseen_b = unseen_variance(b, *row_b);
+    is_assumed = is_assumed || unseen_a > 0 || unseen_b > 0;
+    pairs.push_back({log_of(*joules_of(*row_a), unseen_a), log_of(*joules_of(*row_b), unseen_b)});
+  }
+  if (is_assumed)
+    result.notes.push_back(fmt::format(
+        "Energy: that trials of a cell differ by {:g} % is assumed where each was traced "
+        "once.",
+        100 * assumed_trial_spread));
   const std::vector<Ratio> ratios = ratios_of(pairs);
   for (std::size_t i = 0; i < both.size(); ++i)
     result.energy.push_back(
@@ -402,6 +428,13 @@ SlowerVerdict slower_by(const Comparison& comparison, double percent_limit) {
     if (ratio && ratio->sure_low > limit)
       where.push_back(fmt::format("{} ({})", cell_name({cell.model, cell.view, cell.algorithm}),
                                   percent(ratio->value)));
+  }
+  if (!overall) {
+    verdict.text = fmt::format(
+        "Whether B is slower than A by more than {:g} % cannot be told: no cell has enough timed "
+        "frames in both runs.",
+        percent_limit);
+    return verdict;
   }
   verdict.slower = !where.empty();
   const char* measure =

@@ -13,6 +13,13 @@ namespace {
 constexpr std::size_t replicate_count = 400;
 /// Below, the differences between cells say nothing.
 constexpr std::size_t min_spread_cells = 3;
+/// Of normal values a median absolute deviation knows as much as this share of them would tell a
+/// standard deviation. See "The Influence Curve and Its Role in Robust Estimation", by F. Hampel,
+/// JASA 69(346), 1974.
+constexpr double mad_efficiency = 0.37;
+/// Of a value that is itself among them it knows more, as its own deviation is in it. Simulated: of
+/// 3 to 30 values the largest deviation over it is distributed as with at least this share.
+constexpr double own_mad_efficiency = 0.5;
 
 using Values = std::vector<double>;
 
@@ -89,18 +96,12 @@ struct Pair {
 /// The variance between trials of a cell, beyond what their frames account for.
 struct Between {
   double variance = 0;
-  double own_variance = 0;  // of that estimate
+  double seen = 0;  // the estimate that it is a part of
+  // Degrees of freedom of that, for a cell's ratio and for the mean of all; 0: not estimated.
+  double cell_freedom = 0;
+  double mean_freedom = 0;
   TrialSpread source = TrialSpread::repetitions;
 };
-
-/// `seen` is the variance of trials' medians with everything in it, on `freedom` degrees; `frames`
-/// is what of it their frames account for.
-Between between(double seen, double frames, double freedom, TrialSpread source) {
-  // Where chance makes the difference negative, it is not therefore known to be 0: its uncertainty
-  // stays, as degrees of freedom.
-  const double level = std::max(seen, frames);
-  return {std::max(seen - frames, 0.0), 2 * level * level / freedom, source};
-}
 
 Between between_trials(std::span<const Pair> pairs) {
   double seen = 0;
@@ -113,14 +114,23 @@ Between between_trials(std::span<const Pair> pairs) {
       frames += weight * side->trial_count * side->mean.variance;
       freedom += weight;
     }
-  if (freedom > 0)
-    return between(seen / freedom, frames / freedom, freedom, TrialSpread::repetitions);
-  const auto count = static_cast<double>(pairs.size());
-  if (pairs.size() < min_spread_cells)
-    return {assumed_trial_spread * assumed_trial_spread, 0, TrialSpread::assumed};
+  Between result;
+  if (freedom > 0) {
+    result.seen = seen / freedom;
+    result.variance = std::max(result.seen - frames / freedom, 0.0);
+    result.cell_freedom = result.mean_freedom = freedom;
+    return result;
+  }
+  constexpr double assumed = assumed_trial_spread * assumed_trial_spread;
+  if (pairs.size() < min_spread_cells) {
+    result.variance = assumed;
+    result.source = TrialSpread::assumed;
+    return result;
+  }
   // If code or clock changed all cells alike, ratios differ by chance only. The middle of the
-  // deviations leaves single changed cells out. It has half the degrees of freedom, about, that a
-  // standard deviation would have; both runs have their part in it.
+  // deviations leaves single changed cells out; both runs have their part in it. Of few cells it is
+  // at times very small by chance.
+  const auto count = static_cast<double>(pairs.size());
   Values ratios;
   for (const Pair& pair : pairs) {
     ratios.push_back(pair.log_ratio());
@@ -129,7 +139,12 @@ Between between_trials(std::span<const Pair> pairs) {
   const double middle = median(ratios);
   for (double& ratio : ratios) ratio = std::fabs(ratio - middle);
   const double spread = 1.4826 * median(ratios);
-  return between(spread * spread / 2, frames, (count - 1) / 2, TrialSpread::cells);
+  result.seen = spread * spread / 2;
+  result.variance = std::max(result.seen - frames, assumed);
+  result.cell_freedom = own_mad_efficiency * (count - 1);
+  result.mean_freedom = mad_efficiency * (count - 1);
+  result.source = TrialSpread::cells;
+  return result;
 }
 
 /// A sum of variances, and its degrees of freedom by F. Satterthwaite, "An Approximate Distribution
@@ -141,9 +156,9 @@ class Variance {
     own_variance_ += 2 * part.variance * part.variance / part.freedom;
   }
   /// `factor` times what all cells have in common: no more certain the more cells use it.
-  void add(const Between& part, double factor) {
+  void add(const Between& part, double freedom, double factor) {
     value_ += factor * part.variance;
-    own_variance_ += factor * factor * part.own_variance;
+    if (freedom > 0) own_variance_ += 2 * std::pow(factor * part.seen, 2) / freedom;
   }
   /// How far to either side of the estimate the truth may lie.
   [[nodiscard]] double reach(double level) const {
@@ -195,7 +210,7 @@ Ratios ratios_of(std::span<const TrialPair> trial_pairs) {
     Variance variance;
     variance.add(pair.a.mean);
     variance.add(pair.b.mean);
-    variance.add(between, factor);
+    variance.add(between, between.cell_freedom, factor);
     result.pairs.push_back(ratio_of(pair.log_ratio(), variance, count, shared));
     for (LogEstimate part : {pair.a.mean, pair.b.mean}) {
       part.variance /= count * count;
@@ -204,7 +219,7 @@ Ratios ratios_of(std::span<const TrialPair> trial_pairs) {
     factor_of_all += factor / (count * count);
     log_sum += pair.log_ratio();
   }
-  of_all.add(between, factor_of_all);
+  of_all.add(between, between.mean_freedom, factor_of_all);
   result.mean = ratio_of(log_sum / count, of_all, 1, shared);
   return result;
 }

@@ -37,7 +37,7 @@ inline constexpr std::size_t min_trial_values = 5;
 /// What says how much trials of the same cell differ.
 enum class TrialSpread : uint8_t {
   repetitions,  ///< trials of the same cell in the same run
-  cells,        ///< nothing was repeated: the ratios of at least three cells
+  cells,        ///< nothing was repeated: ratios of three cells or more, at least what is assumed
   assumed,      ///< nothing was repeated, and cells are too few: assumed_trial_spread
 };
 /// Of the logarithm of a trial's median, one standard deviation: 1 %.

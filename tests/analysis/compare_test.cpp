@@ -151,6 +151,7 @@ TEST(Compare, CopesWithNothingInCommon) {
   EXPECT_FALSE(result.time);
   EXPECT_THAT(result.verdict, StartsWith("Nothing can be compared"));
   EXPECT_FALSE(slower_by(result, 0).slower);
+  EXPECT_THAT(slower_by(result, 0).text, HasSubstr("cannot be told"));
   RunBuilder one;
   one.add_trial("m", 0, "A", {1});
   EXPECT_FALSE(compare(one.run, one.run).cells.front().time);
