@@ -479,14 +479,6 @@ std::vector<Structure> list_structures(const RunRecord& run) {
   return structures;
 }
 
-DeviceType device_type(const RunFacts& facts) {
-  if (is_cpu_device(facts)) return DeviceType::cpu;
-  const auto type =
-      facts.device.is_object() ? facts.device.value("type", nlohmann::json()) : nlohmann::json();
-  if (type == "integrated") return DeviceType::integrated;
-  return type == "discrete" ? DeviceType::discrete : DeviceType::unknown;
-}
-
 /// What belongs together: energy and frames, outliers and throttling, channels and time, cells and
 /// factors.
 void add_relations(const RunRecord& run, Analysis& analysis) {

@@ -3,27 +3,32 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <boost/math/distributions/students_t.hpp>
 #include <cmath>
 #include <map>
-#include <numbers>
-#include <random>
-#include <span>
+#include <set>
 #include <tuple>
 
 #include "analysis/analyze.h"
+#include "analysis/analyze_frames.h"
+#include "analysis/energy.h"
 #include "analysis/format.h"
 #include "analysis/frame_table.h"
+#include "analysis/run_facts.h"
 #include "analysis/throttle.h"
 #include "core/run_db.h"
 
 namespace energyprof::analysis {
 namespace {
 
-constexpr std::size_t min_frame_count = 5;
-constexpr std::size_t replicate_count = 400;
 /// Cells whose frames have no clock more often than this are compared in time only.
 constexpr double min_clock_ratio = 0.9;
+/// Clocks further apart are worth a note.
+constexpr double max_clock_difference = 0.05;
+/// What the views of a model may differ by in their share of the frames, for energies over all of
+/// them to be compared.
+constexpr double max_share_difference = 0.02;
+/// And rays per frame, for frames to be called the same.
+constexpr double max_ray_difference = 0.001;
 
 using CellKey = std::tuple<std::string, int64_t, std::string>;
 using Values = std::vector<double>;
@@ -37,25 +42,34 @@ struct Frames {
   std::vector<Values> ms, cycles;
   std::size_t frame_count = 0;
   std::size_t cycle_count = 0;
+  std::optional<double> rays_per_frame;
 };
 
 struct Side {
-  Analysis analysis;
+  RunFacts facts;
+  std::vector<Flag> flags;
   std::map<CellKey, Frames> cells;
+  EnergyReport energy;
   std::string clock;
 };
 
 Side read_side(const RunRecord& run) {
   Side side;
-  side.analysis = analyze(run);
-  const std::vector<TimedFrame> frames = timed_frames(run, side.analysis.cells);
+  const Analysis analysis = analyze_frames(run);
+  side.facts = analysis.run;
+  side.flags = analysis.flags;
+  const std::vector<TimedFrame> frames = timed_frames(run, analysis.cells);
+  side.energy = price_energy(run, analysis.cells, frames, device_type(side.facts));
   const auto clock = device_clock(run, frames);
   if (clock) side.clock = run.channels[clock->channels.front()].name;
+  // Ratios are means over the channels of a clock: so is what they are ratios to.
+  const double steady_hz = clock ? mean(clock->steady_hz) : 0;
   std::map<std::pair<CellKey, std::size_t>, std::size_t> trial_of;
   for (const TimedFrame& frame : frames) {
-    const Cell& cell = side.analysis.cells[frame.cell];
+    const Cell& cell = analysis.cells[frame.cell];
     const CellKey key{cell.model, cell.view, cell.algorithm};
     Frames& all = side.cells[key];
+    all.rays_per_frame = cell.rays_per_frame;
     const auto [trial, is_new] = trial_of.emplace(std::pair(key, frame.trial_index), all.ms.size());
     if (is_new) {
       all.ms.emplace_back();
@@ -65,7 +79,7 @@ Side read_side(const RunRecord& run) {
     ++all.frame_count;
     const auto ratio = clock ? clock->over(frame.begin_ns, frame.end_ns) : std::nullopt;
     if (!ratio || *ratio <= 0) continue;
-    all.cycles[trial->second].push_back(frame.ms * 1e-3 * *ratio * clock->steady_hz.front());
+    all.cycles[trial->second].push_back(frame.ms * 1e-3 * *ratio * steady_hz);
     ++all.cycle_count;
   }
   return side;
@@ -77,215 +91,131 @@ Values flat(const std::vector<Values>& trials) {
   return all;
 }
 
-/// The logarithm of a median, and how uncertain it is.
-struct LogMedian {
-  double value = 0;
-  double frame_variance = 0;    // from the spread of frames
-  double frame_freedom = 1;     // that it rests on: blocks of frames less one
-  double between_variance = 0;  // of a trial's median, from other trials of the cell
-  double freedom = 0;           // that between_variance rests on; 0: none
-  std::size_t trial_count = 0;
-};
-
-/// How many consecutive frames of the trials are drawn together: as suits a series of their lag-1
-/// correlation. See "Automatic Block-Length Selection for the Dependent Bootstrap", by D. Politis
-/// and H. White, Econometric Reviews 23(1), 2004.
-std::size_t block_length(const std::vector<Values>& trials) {
-  double squares = 0;
-  double neighbours = 0;
-  std::size_t longest = 1;
-  for (const Values& trial : trials) {
-    longest = std::max(longest, trial.size());
-    if (trial.size() < 2) continue;
-    // Of which side of the median frames are: what outliers take has no say.
-    const double middle = median(trial);
-    double last = 0;
-    for (double value : trial) {
-      const double side = value > middle ? 1 : -1;
-      squares += 1;
-      neighbours += side * last;
-      last = side;
-    }
-  }
-  if (squares == 0) return 1;
-  const auto length = static_cast<double>(longest);
-  // Of normal values with the correlation r, the signs have 2 / pi asin(r). Seen against their own
-  // median, short series look less dependent than they are: see "Note on Bias in the Estimation of
-  // Autocorrelation", by M. Kendall, Biometrika 41, 1954.
-  const double seen = std::sin(std::numbers::pi / 2 * neighbours / squares);
-  const double rho = seen > 0 ? std::min(seen + (1 + 4 * seen) / length, 0.97) : 0.0;
-  const double stretch = std::cbrt(6 * rho * rho / std::pow(1 - rho * rho, 2));
-  return static_cast<std::size_t>(
-      std::ceil(std::min(std::cbrt(length) * std::max(stretch, 1.0), std::max(length / 3, 1.0))));
-}
-
-LogMedian log_median(const std::vector<Values>& trials, std::mt19937_64& random) {
-  LogMedian result;
-  const Values all = flat(trials);
-  result.value = std::log(median(all));
-  Values replicates;
-  Values drawn(all.size());
-  const std::size_t block = block_length(trials);
-  for (std::size_t replicate = 0; replicate < replicate_count; ++replicate) {
-    std::size_t begin = 0;
-    for (const Values& trial : trials) {
-      if (trial.empty()) continue;
-      resample_blocks(trial, block, random, std::span(drawn).subspan(begin, trial.size()));
-      begin += trial.size();
-    }
-    replicates.push_back(std::log(median(drawn)));
-  }
-  const double spread = stddev(replicates).value_or(0);
-  const double blocks = std::max(static_cast<double>(all.size()) / static_cast<double>(block), 2.0);
-  result.frame_freedom = blocks - 1;
-  // The replicates scatter about the median of the same blocks: one block is lost to it.
-  result.frame_variance = spread * spread * blocks / (blocks - 1);
-  Values medians;
+/// What ratios are made of: trials that are long enough, or, without any, all values as one trial.
+std::vector<Values> usable(const std::vector<Values>& trials) {
+  std::vector<Values> result;
   for (const Values& trial : trials)
-    if (trial.size() >= min_frame_count) medians.push_back(std::log(median(trial)));
-  result.trial_count = std::max<std::size_t>(medians.size(), 1);
-  if (medians.size() >= 2) {
-    const double between = *stddev(medians);
-    result.between_variance = between * between;
-    result.freedom = static_cast<double>(medians.size() - 1);
-  }
+    if (trial.size() >= min_trial_values) result.push_back(trial);
+  if (result.empty()) result.push_back(flat(trials));
   return result;
-}
-
-double t_quantile(double freedom, double level) {
-  const boost::math::students_t t(std::clamp(freedom, 1.0, 1e6));
-  return boost::math::quantile(t, 0.5 + level / 2);
-}
-
-Ratio ratio_of(double log_value, double reach) {
-  return {std::exp(log_value), {std::exp(log_value - reach), std::exp(log_value + reach)}};
-}
-
-struct Pair {
-  LogMedian a, b;
-  [[nodiscard]] double log_ratio() const { return b.value - a.value; }
-};
-
-/// How repetitions of a cell differ, over all cells of both runs that were repeated.
-struct Scatter {
-  double variance = 0;  // of the median of one trial
-  double freedom = 0;   // 0: no cell was repeated
-};
-
-Scatter scatter_of(const std::vector<Pair>& pairs) {
-  Scatter result;
-  for (const Pair& pair : pairs)
-    for (const LogMedian* side : {&pair.a, &pair.b}) {
-      result.variance += side->freedom * side->between_variance;
-      result.freedom += side->freedom;
-    }
-  if (result.freedom > 0) {
-    result.variance /= result.freedom;
-    return result;
-  }
-  // Nothing was repeated. If code or clock changed all cells alike, ratios differ by chance only;
-  // the middle of the deviations leaves a single changed cell out.
-  if (pairs.size() < 3) return result;
-  Values ratios;
-  for (const Pair& pair : pairs) ratios.push_back(pair.log_ratio());
-  const double middle = median(ratios);
-  Values deviations;
-  for (double ratio : ratios) deviations.push_back(std::fabs(ratio - middle));
-  const double spread = 1.4826 * median(deviations);
-  result.variance = spread * spread / 2;  // both runs have their part in it
-  result.freedom = static_cast<double>(pairs.size() - 1);
-  return result;
-}
-
-/// A variance that adds up from parts, and its degrees of freedom, by F. Satterthwaite, "An
-/// Approximate Distribution of Estimates of Variance Components", Biometrics Bulletin 2(6), 1946.
-class Sum {
- public:
-  explicit Sum(const Scatter& scatter) : scatter_(scatter) {}
-  void add(const LogMedian& side) {
-    const double between = scatter_.variance / static_cast<double>(side.trial_count);
-    if (between > side.frame_variance) {
-      shared_ += between;  // one number for all: no more certain the more cells use it
-    } else {
-      own_ += side.frame_variance;
-      own_squares_ += side.frame_variance * side.frame_variance / side.frame_freedom;
-    }
-  }
-  [[nodiscard]] double variance() const { return shared_ + own_; }
-  [[nodiscard]] double freedom() const {
-    double squares = own_squares_;
-    if (shared_ > 0) squares += shared_ * shared_ / std::max(scatter_.freedom, 1.0);
-    return squares > 0 ? variance() * variance() / squares : 1;
-  }
-
- private:
-  const Scatter& scatter_;
-  double shared_ = 0;
-  double own_ = 0;
-  double own_squares_ = 0;
-};
-
-/// Ratios of all pairs at a level that holds for all together, and that of their geometric mean.
-std::pair<std::vector<Ratio>, std::optional<Ratio>> ratios_of(const std::vector<Pair>& pairs) {
-  std::vector<Ratio> ratios;
-  if (pairs.empty()) return {ratios, std::nullopt};
-  const Scatter scatter = scatter_of(pairs);
-  const double level = 1 - 0.05 / static_cast<double>(pairs.size());
-  Values logs;
-  Sum of_all(scatter);
-  for (const Pair& pair : pairs) {
-    Sum of_pair(scatter);
-    for (const LogMedian* side : {&pair.a, &pair.b}) {
-      of_pair.add(*side);
-      of_all.add(*side);
-    }
-    ratios.push_back(ratio_of(
-        pair.log_ratio(), t_quantile(of_pair.freedom(), level) * std::sqrt(of_pair.variance())));
-    logs.push_back(pair.log_ratio());
-  }
-  const auto count = static_cast<double>(pairs.size());
-  const double within = std::sqrt(of_all.variance()) / count;
-  // The larger of what the cells' own errors say and what their differences say.
-  double reach = t_quantile(of_all.freedom(), 0.95) * within;
-  if (const auto spread = stddev(logs))
-    reach = std::max(reach, t_quantile(count - 1, 0.95) * *spread / std::sqrt(count));
-  return {ratios, ratio_of(mean(logs), reach)};
 }
 
 bool has_clock(const Frames& frames) {
   return static_cast<double>(frames.cycle_count) >=
              min_clock_ratio * static_cast<double>(frames.frame_count) &&
-         frames.cycle_count >= min_frame_count;
+         frames.cycle_count >= min_trial_values;
 }
 
-/// Standard error of log(value), from a 95 % interval.
-double log_error(const Estimate& estimate) {
-  return (estimate.interval.high - estimate.interval.low) / (2 * 1.96 * estimate.value);
+/// "x", or "x and 3 more".
+std::string first_of(const std::vector<std::string>& names) {
+  return names.front() +
+         (names.size() > 1 ? fmt::format(" and {} more", names.size() - 1) : std::string());
+}
+
+// ---------------------------------------------------------------------------- energy
+
+const Estimate* joules_of(const EnergyRow& row) {
+  return row.joules_per_frame && row.joules_per_frame->value > 0 ? &*row.joules_per_frame : nullptr;
+}
+
+/// The row of the same algorithm, model and channel that has joules per frame.
+const EnergyRow* find_row(const std::vector<EnergyRow>& rows, const EnergyRow& like) {
+  const auto found = std::find_if(rows.begin(), rows.end(), [&](const EnergyRow& row) {
+    return row.model == like.model && row.algorithm == like.algorithm &&
+           row.channel == like.channel && joules_of(row) != nullptr;
+  });
+  return found == rows.end() ? nullptr : &*found;
+}
+
+/// Of the frames of an algorithm on a model, the share of each view.
+std::map<int64_t, double> view_shares(const Side& side, const EnergyRow& row) {
+  std::map<int64_t, double> shares;
+  double sum = 0;
+  for (const auto& [key, frames] : side.cells) {
+    if (std::get<0>(key) != row.model || std::get<2>(key) != row.algorithm) continue;
+    shares[std::get<1>(key)] = static_cast<double>(frames.frame_count);
+    sum += static_cast<double>(frames.frame_count);
+  }
+  for (auto& [view, share] : shares) share /= sum;
+  return shares;
+}
+
+bool same_views(const Side& a, const Side& b, const EnergyRow& row) {
+  const auto shares_a = view_shares(a, row);
+  const auto shares_b = view_shares(b, row);
+  return std::equal(shares_a.begin(), shares_a.end(), shares_b.begin(), shares_b.end(),
+                    [](const auto& share_a, const auto& share_b) {
+                      return share_a.first == share_b.first &&
+                             std::fabs(share_a.second - share_b.second) <= max_share_difference;
+                    });
+}
+
+/// Of a row whose cells were traced once each, the variance that trials may have; else 0, as how
+/// they differ is in the row's own error.
+double unseen_variance(const Side& side, const EnergyRow& row) {
+  double cell_count = 0;
+  for (const auto& [key, frames] : side.cells) {
+    if (std::get<0>(key) != row.model || std::get<2>(key) != row.algorithm) continue;
+    if (frames.ms.size() > 1) return 0;
+    ++cell_count;
+  }
+  return assumed_trial_spread * assumed_trial_spread / cell_count;
+}
+
+LogEstimate log_of(const Estimate& estimate, double unseen) {
+  const double variance = std::pow(estimate.standard_error / estimate.value, 2);
+  // What is assumed is not estimated: it adds variance, and no uncertainty of that.
+  const double freedom = std::max(estimate.freedom, 1.0);
+  const double all = variance + unseen;
+  return {std::log(estimate.value), all,
+          unseen > 0 ? freedom * std::pow(all / variance, 2) : freedom};
 }
 
 void compare_energy(const Side& a, const Side& b, Comparison& result) {
-  std::vector<std::tuple<const EnergyRow*, const EnergyRow*>> both;
-  for (const EnergyRow& row_a : a.analysis.energy)
-    for (const EnergyRow& row_b : b.analysis.energy)
-      if (row_a.model == row_b.model && row_a.algorithm == row_b.algorithm &&
-          row_a.channel == row_b.channel && row_a.joules_per_frame && row_b.joules_per_frame &&
-          row_a.joules_per_frame->value > 0 && row_b.joules_per_frame->value > 0)
-        both.emplace_back(&row_a, &row_b);
-  if (both.empty()) {
+  // The channel that a report leads with: A's if B has it, else B's if A has it.
+  std::vector<std::pair<const EnergyRow*, const EnergyRow*>> both;
+  std::set<std::pair<std::string, std::string>> found;
+  std::vector<std::string> other_views;
+  const auto add = [&](const EnergyRow* row_a, const EnergyRow* row_b) {
+    if (row_a == nullptr || row_b == nullptr) return;
+    if (!found.emplace(row_a->model, row_a->algorithm).second) return;
+    if (same_views(a, b, *row_a))
+      both.emplace_back(row_a, row_b);
+    else
+      other_views.push_back(fmt::format("{}, {}", row_a->model, row_a->algorithm));
+  };
+  for (const EnergyRow& row : a.energy.rows)
+    if (joules_of(row) != nullptr) add(&row, find_row(b.energy.by_channel, row));
+  for (const EnergyRow& row : b.energy.rows)
+    if (joules_of(row) != nullptr) add(find_row(a.energy.by_channel, row), &row);
+  if (!other_views.empty())
+    result.notes.push_back(fmt::format(
+        "Energy of {} is not compared: it is over all views, and the runs do not have the same "
+        "ones in the same proportion.",
+        first_of(other_views)));
+  else if (both.empty())
     result.notes.emplace_back(
         "Energy is not compared: the runs do not both have joules per frame on the same channel.");
-    return;
-  }
-  const double level = 1 - 0.05 / static_cast<double>(both.size());
+  std::vector<LogPair> pairs;
+  bool is_assumed = false;
   for (const auto& [row_a, row_b] : both) {
-    const Estimate& joules_a = *row_a->joules_per_frame;
-    const Estimate& joules_b = *row_b->joules_per_frame;
-    const double error = std::hypot(log_error(joules_a), log_error(joules_b));
-    result.energy.push_back(
-        {row_a->model, row_a->algorithm, row_a->channel,
-         ratio_of(std::log(joules_b.value / joules_a.value), t_quantile(30, level) * error)});
+    const double unseen_a = unseen_variance(a, *row_a);
+    const double unseen_b = unseen_variance(b, *row_b);
+    is_assumed = is_assumed || unseen_a > 0 || unseen_b > 0;
+    pairs.push_back({log_of(*joules_of(*row_a), unseen_a), log_of(*joules_of(*row_b), unseen_b)});
   }
+  if (is_assumed)
+    result.notes.push_back(fmt::format(
+        "Energy: that trials of a cell differ by {:g} % is assumed where each was traced "
+        "once.",
+        100 * assumed_trial_spread));
+  const std::vector<Ratio> ratios = ratios_of(pairs);
+  for (std::size_t i = 0; i < both.size(); ++i)
+    result.energy.push_back(
+        {both[i].first->model, both[i].first->algorithm, both[i].first->channel, ratios[i]});
 }
+
+// ---------------------------------------------------------------------------- in words
 
 std::string percent(double ratio) { return fmt::format("{:+.1f} %", 100 * (ratio - 1)); }
 
@@ -335,6 +265,34 @@ std::string verdict_of(const Comparison& c) {
                             slower_count, faster_count);
 }
 
+/// What a reader must know of the runs before the first ratio.
+void describe_runs(const RunRecord& run_a, const RunRecord& run_b, const Side& a, const Side& b,
+                   std::vector<std::string>& notes) {
+  const auto same_frame = [](const FrameRecord& frame_a, const FrameRecord& frame_b) {
+    return frame_a.begin_ns == frame_b.begin_ns && frame_a.end_ns == frame_b.end_ns;
+  };
+  if (!run_a.frames.empty() && std::equal(run_a.frames.begin(), run_a.frames.end(),
+                                          run_b.frames.begin(), run_b.frames.end(), same_frame))
+    notes.emplace_back("A and B are the same recording: nothing can differ.");
+  const auto flag_in = [](const Side& side, const Flag& like) {
+    return std::any_of(side.flags.begin(), side.flags.end(),
+                       [&](const Flag& flag) { return flag.label == like.label; });
+  };
+  for (const Flag& flag : a.flags)
+    notes.push_back(
+        fmt::format("{}: {}. {}", flag_in(b, flag) ? "A and B" : "A", flag.label, flag.text));
+  for (const Flag& flag : b.flags)
+    if (!flag_in(a, flag)) notes.push_back(fmt::format("B: {}. {}", flag.label, flag.text));
+  const auto device = [](const Side& side) {
+    const auto& facts = side.facts.device;
+    const bool has_name = facts.is_object() && facts.contains("name") && facts["name"].is_string();
+    return has_name ? facts["name"].get<std::string>() : std::string();
+  };
+  if (!device(a).empty() && !device(b).empty() && device(a) != device(b))
+    notes.push_back(
+        fmt::format("The runs are of different devices: A of {}, B of {}.", device(a), device(b)));
+}
+
 nlohmann::json ratio_json(const std::optional<Ratio>& ratio) {
   if (!ratio) return nullptr;
   return {{"value", ratio->value},
@@ -368,15 +326,16 @@ Comparison compare(const RunRecord& run_a, const RunRecord& run_b) {
   Comparison result;
   result.clock_a = a.clock;
   result.clock_b = b.clock;
+  describe_runs(run_a, run_b, a, b, result.notes);
   for (const auto& [key, frames] : b.cells)
     if (!a.cells.contains(key)) result.only_b.push_back(cell_name(key));
 
-  std::mt19937_64 random(1);
-  std::vector<Pair> times;
-  std::vector<Pair> cycles;
+  std::vector<TrialPair> times;
+  std::vector<TrialPair> cycles;
   std::vector<std::size_t> time_cells;  // into result.cells
   std::vector<std::size_t> cycle_cells;
   std::vector<std::string> clockless;
+  std::vector<std::string> other_rays;
   for (const auto& [key, frames_a] : a.cells) {
     const auto found = b.cells.find(key);
     if (found == b.cells.end()) {
@@ -384,52 +343,70 @@ Comparison compare(const RunRecord& run_a, const RunRecord& run_b) {
       continue;
     }
     const Frames& frames_b = found->second;
+    if (frames_a.rays_per_frame && frames_b.rays_per_frame &&
+        std::fabs(*frames_b.rays_per_frame / *frames_a.rays_per_frame - 1) > max_ray_difference)
+      other_rays.push_back(cell_name(key));
     ComparedCell& cell = result.cells.emplace_back();
     std::tie(cell.model, cell.view, cell.algorithm) = key;
     cell.frame_count_a = frames_a.frame_count;
     cell.frame_count_b = frames_b.frame_count;
-    cell.median_a_ms = median(flat(frames_a.ms));
-    cell.median_b_ms = median(flat(frames_b.ms));
-    if (std::min(frames_a.frame_count, frames_b.frame_count) < min_frame_count) {
+    const TrialPair ms{usable(frames_a.ms), usable(frames_b.ms)};
+    cell.median_a_ms = mean_of_medians(ms.a);
+    cell.median_b_ms = mean_of_medians(ms.b);
+    if (std::min(frames_a.frame_count, frames_b.frame_count) < min_trial_values) {
       result.notes.push_back(fmt::format("{} has fewer than {} timed frames in one of the runs.",
-                                         cell_name(key), min_frame_count));
+                                         cell_name(key), min_trial_values));
       continue;
     }
-    times.push_back({log_median(frames_a.ms, random), log_median(frames_b.ms, random)});
+    times.push_back(ms);
     time_cells.push_back(result.cells.size() - 1);
     if (!has_clock(frames_a) || !has_clock(frames_b)) {
       clockless.push_back(cell_name(key));
       continue;
     }
-    cycles.push_back({log_median(frames_a.cycles, random), log_median(frames_b.cycles, random)});
+    cycles.push_back({usable(frames_a.cycles), usable(frames_b.cycles)});
     cycle_cells.push_back(result.cells.size() - 1);
   }
-  const auto [time_ratios, time] = ratios_of(times);
-  for (std::size_t i = 0; i < time_ratios.size(); ++i)
-    result.cells[time_cells[i]].time = time_ratios[i];
-  result.time = time;
+  if (!times.empty()) {
+    const Ratios ratios = ratios_of(times);
+    for (std::size_t i = 0; i < time_cells.size(); ++i)
+      result.cells[time_cells[i]].time = ratios.pairs[i];
+    result.time = ratios.mean;
+    if (ratios.spread == TrialSpread::cells)
+      result.notes.emplace_back(
+          "No cell was traced more than once in either run: how much repetitions differ is guessed "
+          "from the differences between cells. More repetitions (order.repetitions) would tell.");
+    if (ratios.spread == TrialSpread::assumed)
+      result.notes.push_back(fmt::format(
+          "No cell was traced more than once in either run: that trials of the same code differ by "
+          "{:g} % (standard deviation) is assumed. More repetitions (order.repetitions) would "
+          "tell.",
+          100 * assumed_trial_spread));
+  }
   // Cycles of some cells beside the time of others would compare different things.
   if (!cycles.empty() && cycles.size() == times.size()) {
-    const auto [cycle_ratios, overall] = ratios_of(cycles);
-    for (std::size_t i = 0; i < cycle_ratios.size(); ++i)
-      result.cells[cycle_cells[i]].cycles = cycle_ratios[i];
-    result.cycles = overall;
+    const Ratios ratios = ratios_of(cycles);
+    for (std::size_t i = 0; i < cycle_cells.size(); ++i)
+      result.cells[cycle_cells[i]].cycles = ratios.pairs[i];
+    result.cycles = ratios.mean;
+    const double clock_ratio = ratios.mean.value / result.time->value;
+    if (std::fabs(std::log(clock_ratio)) > max_clock_difference)
+      result.notes.push_back(
+          fmt::format("B ran at {:.2f} times the clock of A: its cycles tell code from clock as "
+                      "far as the work follows the clock; what waits for memory does not.",
+                      clock_ratio));
   }
 
   if (!clockless.empty())
     result.notes.push_back(fmt::format(
         "The clock that frames ran at is not known in both runs for {}: a slower clock cannot be "
         "told from slower code, and times are compared.",
-        cycles.empty()
-            ? "any cell"
-            : clockless.front() + (clockless.size() > 1
-                                       ? fmt::format(" and {} more", clockless.size() - 1)
-                                       : std::string())));
-  const auto repeated = [](const Pair& pair) { return pair.a.freedom + pair.b.freedom > 0; };
-  if (!times.empty() && std::none_of(times.begin(), times.end(), repeated))
-    result.notes.emplace_back(
-        "No cell was traced more than once in either run: how much repetitions differ is guessed "
-        "from the differences between cells. More repetitions (order.repetitions) would tell.");
+        cycles.empty() ? "any cell" : first_of(clockless)));
+  if (!other_rays.empty())
+    result.notes.push_back(
+        fmt::format("The runs do not trace the same number of rays per frame in {}: the work "
+                    "differs, not only how long it takes.",
+                    first_of(other_rays)));
   if (!a.clock.empty() && !b.clock.empty() && a.clock != b.clock)
     result.notes.push_back(
         fmt::format("The clocks are those of different channels: {} and {}.", a.clock, b.clock));
@@ -444,21 +421,27 @@ SlowerVerdict slower_by(const Comparison& comparison, double percent_limit) {
   const double limit = 1 + percent_limit / 100;
   std::vector<std::string> where;
   const auto& overall = verdict.in_cycles ? comparison.cycles : comparison.time;
-  if (overall && overall->interval.low > limit)
+  if (overall && overall->sure_low > limit)
     where.push_back(fmt::format("on average ({})", percent(overall->value)));
   for (const ComparedCell& cell : comparison.cells) {
     const auto& ratio = verdict.in_cycles ? cell.cycles : cell.time;
-    if (ratio && ratio->interval.low > limit)
+    if (ratio && ratio->sure_low > limit)
       where.push_back(fmt::format("{} ({})", cell_name({cell.model, cell.view, cell.algorithm}),
                                   percent(ratio->value)));
+  }
+  if (!overall) {
+    verdict.text = fmt::format(
+        "Whether B is slower than A by more than {:g} % cannot be told: no cell has enough timed "
+        "frames in both runs.",
+        percent_limit);
+    return verdict;
   }
   verdict.slower = !where.empty();
   const char* measure =
       verdict.in_cycles ? "in cycles" : "in time, as the clock is not known throughout";
   if (verdict.slower)
-    verdict.text = fmt::format(
-        "B is slower than A by more than {:g} %, beyond doubt, {}: {}{}.", percent_limit, measure,
-        where.front(), where.size() > 1 ? fmt::format(" and {} more", where.size() - 1) : "");
+    verdict.text = fmt::format("B is slower than A by more than {:g} %, beyond doubt, {}: {}.",
+                               percent_limit, measure, first_of(where));
   else
     verdict.text = fmt::format("B is not slower than A by more than {:g} % beyond doubt, {}.",
                                percent_limit, measure);

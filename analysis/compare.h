@@ -8,16 +8,10 @@
 #include <string>
 #include <vector>
 
-#include "analysis/stats.h"
+#include "analysis/ratios.h"
 #include "core/record.h"
 
 namespace energyprof::analysis {
-
-/// B / A.
-struct Ratio {
-  double value = 1;
-  Interval interval;
-};
 
 /// What an interval says.
 enum class Change : uint8_t { slower, faster, no_difference };
@@ -32,10 +26,10 @@ struct ComparedCell {
   std::string algorithm;
   std::size_t frame_count_a = 0;
   std::size_t frame_count_b = 0;
-  double median_a_ms = 0;
+  double median_a_ms = 0;  ///< geometric mean of the medians of the trials
   double median_b_ms = 0;
-  std::optional<Ratio> time;    ///< of medians; absent with fewer than 5 frames in either run
-  std::optional<Ratio> cycles;  ///< of medians of time x clock; absent where a clock is missing
+  std::optional<Ratio> time;    ///< of these; absent with fewer than 5 frames in either run
+  std::optional<Ratio> cycles;  ///< likewise of time x clock; absent where a clock is missing
 };
 
 /// Net joules per frame of one algorithm on one model, where both runs have them on one channel.
@@ -48,7 +42,7 @@ struct ComparedEnergy {
 
 struct Comparison {
   std::vector<ComparedCell> cells;  ///< by model, view, algorithm
-  std::optional<Ratio> time;        ///< geometric mean over cells, 95 %
+  std::optional<Ratio> time;        ///< geometric mean over these cells, 95 %
   std::optional<Ratio> cycles;
   std::vector<ComparedEnergy> energy;
   std::string clock_a;  ///< the channel; empty: none
@@ -62,12 +56,12 @@ struct Comparison {
 /// Pairs the cells of two runs. A slower clock is not slower code: where both runs recorded the
 /// clock that frames ran at, cycles decide, not time.
 ///
-/// An interval covers the spread of frames (block bootstrap of the median within trials) and that
-/// between repetitions of a cell. Cells without repetitions take the latter from the others; where
-/// no cell was repeated, from how much the ratios of the cells differ. Bonferroni over cells.
+/// ratios.h says what intervals hold. Energy is compared where both runs have it on one channel and
+/// saw the same views.
 Comparison compare(const RunRecord& a, const RunRecord& b);
 
-/// Whether B is slower by more than `percent` beyond doubt: in any cell, or on average.
+/// Whether B is slower by more than `percent` beyond doubt: in any cell, or on average. Of runs
+/// without such a difference 2.5 % at most are called slower: Ratio::sure_low decides.
 struct SlowerVerdict {
   bool slower = false;
   bool in_cycles = false;  ///< else in time, as the clock is not known throughout

@@ -37,6 +37,8 @@ constexpr double idle_margin_ratio = 0.05;
 constexpr int64_t min_idle_updates = 2;
 /// Degrees of freedom below which a row does not know its own scatter.
 constexpr double min_scatter_freedom = 10;
+/// Of neighbouring windows: beyond, a trial says nothing about its own mean.
+constexpr double max_window_correlation = 0.8;
 /// And below which trials say nothing about how trials differ.
 constexpr double min_trial_freedom = 3;
 
@@ -102,7 +104,7 @@ double t_quantile(double freedom) {
 
 Estimate around(double value, double standard_error, double freedom) {
   const double reach = t_quantile(freedom) * standard_error;
-  return {value, {value - reach, value + reach}};
+  return {value, {value - reach, value + reach}, standard_error, freedom};
 }
 
 /// The standard error of an estimate if it were normal: half of its interval over 1.96.
@@ -248,6 +250,7 @@ class Pricing {
 
  private:
   static void add(const Window& window, Window& sum) {
+    sum.trial = window.trial;
     sum.joules += window.joules;
     sum.length_s += window.length_s;
     sum.frame_count += window.frame_count;
@@ -389,6 +392,9 @@ class Pricing {
         add(window, cells[window.cell][by_trial ? window.trial : i]);
     }
     Scatter result;
+    double squares = 0;
+    double neighbours = 0;
+    double neighbour_count = 0;
     for (const auto& [cell, units] : cells) {
       if (units.size() < 2) continue;
       Window sum;
@@ -396,16 +402,38 @@ class Pricing {
       const auto count = static_cast<double>(units.size());
       // Deviations from a mean of the same values are a little too small.
       const double stretch_out = std::sqrt(count / (count - 1));
+      const Window* last = nullptr;
+      double last_joules = 0;
       for (const auto& [id, unit] : units) {
         const double share = unit.frame_count / sum.frame_count;
         const Deviation deviation{stretch_out * (unit.joules / sum.joules / share - 1),
                                   stretch_out * (unit.length_s / sum.length_s / share - 1)};
         result.residuals.push_back(deviation);
-        result.variance += deviation.joules * deviation.joules;
+        squares += deviation.joules * deviation.joules;
+        if (last != nullptr && last->trial == unit.trial) {
+          // Deviations from a mean of `count` values look that much less alike than they are.
+          neighbours +=
+              deviation.joules * last_joules + deviation.joules * deviation.joules / count;
+          ++neighbour_count;
+        }
+        last = &unit;
+        last_joules = deviation.joules;
       }
       result.freedom += count - 1;
     }
-    if (!result.residuals.empty()) result.variance /= static_cast<double>(result.residuals.size());
+    if (result.residuals.empty()) return result;
+    result.variance = squares / static_cast<double>(result.residuals.size());
+    // Windows that follow each other are alike, and worth less than as many that are not: of a
+    // first-order autoregressive series the variance of the mean is (1 + r) / (1 - r) times that.
+    if (by_trial || neighbour_count == 0 || squares == 0) return result;
+    const double correlation =
+        std::clamp(neighbours / neighbour_count / result.variance, 0.0, max_window_correlation);
+    const double factor = (1 + correlation) / (1 - correlation);
+    result.variance *= factor;
+    for (Deviation& deviation : result.residuals) {
+      deviation.joules *= std::sqrt(factor);
+      deviation.length *= std::sqrt(factor);
+    }
     return result;
   }
 
@@ -507,7 +535,9 @@ class Pricing {
     if (ray_count && *ray_count > 0) {
       const double factor = 1e9 / *ray_count;
       row.nj_per_ray = Estimate{joules.value * factor,
-                                {joules.interval.low * factor, joules.interval.high * factor}};
+                                {joules.interval.low * factor, joules.interval.high * factor},
+                                joules.standard_error * factor,
+                                joules.freedom};
     }
     row.watts_above_idle = joules.value / frame_s;
     row.edp_js = joules.value * frame_s;

@@ -17,7 +17,9 @@ namespace energyprof::analysis {
 /// A number that was estimated.
 struct Estimate {
   double value = 0;
-  Interval interval;  ///< 95 %
+  Interval interval;          ///< 95 %
+  double standard_error = 0;  ///< which the interval is made of, with Student's t
+  double freedom = 0;         ///< degrees of freedom of that
 };
 
 /// What an energy or power channel belongs to. Some contain others: psys the package, the package

@@ -177,6 +177,14 @@ bool is_cpu_device(const RunFacts& facts) {
   return type == "cpu";
 }
 
+DeviceType device_type(const RunFacts& facts) {
+  if (is_cpu_device(facts)) return DeviceType::cpu;
+  const auto type =
+      facts.device.is_object() ? facts.device.value("type", nlohmann::json()) : nlohmann::json();
+  if (type == "integrated") return DeviceType::integrated;
+  return type == "discrete" ? DeviceType::discrete : DeviceType::unknown;
+}
+
 std::vector<Flag> read_flags(const RunFacts& facts) {
   std::vector<Flag> flags;
   if (facts.simulated)

@@ -12,6 +12,8 @@ namespace energyprof::analysis {
 RunFacts read_facts(const RunRecord& run, std::vector<std::string>& warnings);
 /// Whether the frames ran on a CPU that runs Vulkan in software.
 bool is_cpu_device(const RunFacts& facts);
+/// What the device is, as far as the run says.
+DeviceType device_type(const RunFacts& facts);
 /// What a reader must know first.
 std::vector<Flag> read_flags(const RunFacts& facts);
 /// The score's weights; defaults where the config is silent or out of range (then a warning).

@@ -13,8 +13,10 @@ namespace energyprof::analysis {
 namespace {
 
 using planted::RunBuilder;
+using testing::Contains;
 using testing::ElementsAre;
 using testing::HasSubstr;
+using testing::Not;
 using testing::StartsWith;
 
 struct Options {
@@ -106,22 +108,32 @@ TEST(Compare, FindsTheOneCellThatChanged) {
 
 TEST(Compare, FewIdenticalRunsDiffer) {
   // Six cells at a joint level of 95 %, and repetitions that differ more than their frames say. 100
-  // pairs: 5 with a standard deviation of 2.2 have any cell outside.
-  int any_cell = 0;
-  int overall = 0;
-  for (uint64_t seed = 0; seed < test::runs(100); ++seed) {
-    const Comparison result =
-        compare(make_run({.seed = 2 * seed, .clock_known = false, .wander = 0.02}),
-                make_run({.seed = 2 * seed + 1, .clock_known = false, .wander = 0.02}));
-    bool differs = false;
-    for (const ComparedCell& cell : result.cells)
-      differs = differs || change_of(*cell.time) != Change::no_difference;
-    any_cell += differs ? 1 : 0;
-    overall += change_of(*result.time) != Change::no_difference ? 1 : 0;
+  // pairs: 5 with a standard deviation of 2.2 have any cell outside, and at most 2.5 fail the gate.
+  for (const int repetition_count : {1, 2}) {
+    SCOPED_TRACE(repetition_count);
+    int any_cell = 0;
+    int overall = 0;
+    int failed = 0;
+    for (uint64_t seed = 0; seed < test::runs(100); ++seed) {
+      const auto run = [&](uint64_t run_seed) {
+        return make_run({.seed = run_seed,
+                         .clock_known = false,
+                         .repetition_count = repetition_count,
+                         .wander = 0.02});
+      };
+      const Comparison result = compare(run(2 * seed), run(2 * seed + 1));
+      bool differs = false;
+      for (const ComparedCell& cell : result.cells)
+        differs = differs || change_of(*cell.time) != Change::no_difference;
+      any_cell += differs ? 1 : 0;
+      overall += change_of(*result.time) != Change::no_difference ? 1 : 0;
+      failed += slower_by(result, 0).slower ? 1 : 0;
+    }
+    if (test::is_sanitized) continue;
+    EXPECT_LE(any_cell, 11);
+    EXPECT_LE(overall, 11);
+    EXPECT_LE(failed, 7);
   }
-  if (test::is_sanitized) GTEST_SKIP() << "three runs prove nothing";
-  EXPECT_LE(any_cell, 11);
-  EXPECT_LE(overall, 11);
 }
 
 TEST(Compare, NamesCellsThatOnlyOneRunHas) {
@@ -139,62 +151,97 @@ TEST(Compare, CopesWithNothingInCommon) {
   EXPECT_FALSE(result.time);
   EXPECT_THAT(result.verdict, StartsWith("Nothing can be compared"));
   EXPECT_FALSE(slower_by(result, 0).slower);
+  EXPECT_THAT(slower_by(result, 0).text, HasSubstr("cannot be told"));
   RunBuilder one;
   one.add_trial("m", 0, "A", {1});
   EXPECT_FALSE(compare(one.run, one.run).cells.front().time);
 }
 
-TEST(Compare, FramesThatDependOnEachOtherAreWorthLess) {
-  // One trial each way of the same code; the clock or the load wanders over some ten frames.
-  const auto wandering = [](uint64_t seed) {
-    RunBuilder builder;
-    std::mt19937_64 random(seed);
-    std::normal_distribution<double> normal;
-    double level = normal(random);
-    std::vector<double> times_ms;
-    for (int i = 0; i < 100; ++i) {
-      level = 0.9 * level + std::sqrt(1 - 0.9 * 0.9) * normal(random);
-      times_ms.push_back(4 * std::exp(0.01 * level));
-    }
-    builder.add_trial("m", 0, "A", times_ms);
-    builder.close();
-    return builder.run;
-  };
-  int different = 0;
-  for (uint64_t seed = 0; seed < test::runs(60); ++seed) {
-    const Comparison result = compare(wandering(2 * seed), wandering(2 * seed + 1));
-    ASSERT_TRUE(result.cells.at(0).time);
-    different += change_of(*result.cells[0].time) == Change::no_difference ? 0 : 1;
+TEST(Compare, SaysWhatTheRunsAre) {
+  RunRecord a = make_run({.seed = 1, .clock_known = false, .repetition_count = 1});
+  a.meta["device"] = R"({"name": "Intel Iris", "type": "integrated"})";
+  RunRecord b = make_run({.seed = 2, .clock_known = false, .repetition_count = 1});
+  b.meta["device"] = R"({"name": "NVIDIA RTX", "type": "discrete"})";
+  b.meta["simulated"] = "1";
+  b.meta["interrupted"] = "1";
+  for (FrameRecord& frame : b.frames) frame.ray_count = 4'000;
+  const Comparison result = compare(a, b);
+  EXPECT_THAT(result.notes, Contains(StartsWith("B: SIMULATED.")));
+  EXPECT_THAT(result.notes, Contains(StartsWith("B: INTERRUPTED.")));
+  EXPECT_THAT(result.notes,
+              Contains("The runs are of different devices: A of Intel Iris, B of NVIDIA RTX."));
+  EXPECT_THAT(result.notes, Contains(HasSubstr("rays per frame in m, view 0, A and 5 more")));
+  EXPECT_THAT(result.notes, Contains(HasSubstr("from the differences between cells")));
+  EXPECT_THAT(compare(a, a).notes, Contains(StartsWith("A and B are the same recording")));
+
+  // Nothing of a device that another tool describes in its own way.
+  b.meta["device"] = R"({"name": 7})";
+  EXPECT_THAT(compare(a, b).notes, Not(Contains(HasSubstr("different devices"))));
+
+  RunBuilder one;
+  one.add_trial("m", 0, "A", {1, 1.1, 1, 1.1, 1, 1.1});
+  RunBuilder other;
+  other.add_trial("m", 0, "A", {1.1, 1, 1, 1.1, 1, 1.1});
+  EXPECT_THAT(compare(one.run, other.run).notes, Contains(HasSubstr("1 % (standard deviation)")));
+}
+
+TEST(Compare, ATrialCutShortCountsIfItHasFiveFrames) {
+  RunBuilder whole;
+  RunBuilder cut;
+  const std::vector<double> times_ms{4, 4.01, 4.02, 4.01, 4, 4.02, 4.01, 4, 4.02, 4.01};
+  for (int repetition = 0; repetition < 2; ++repetition) {
+    whole.add_trial("m", 0, "A", times_ms);
+    cut.add_trial("m", 0, "A", repetition == 0 ? times_ms : std::vector<double>{8, 8, 8, 8});
   }
-  EXPECT_LE(different, 7);
+  EXPECT_NEAR(compare(whole.run, cut.run).time->value, 1, 0.001);
+  RunBuilder short_trials;
+  for (int repetition = 0; repetition < 3; ++repetition)
+    short_trials.add_trial("m", 0, "A", {8, 8.01});
+  EXPECT_NEAR(compare(whole.run, short_trials.run).time->value, 2, 0.01);
+}
+
+/// Idles, traces make_run() with `watts` more than at rest, and idles.
+RunRecord run_with_energy(const Options& options, double watts,
+                          const std::string& channel = "rapl.package-0.energy") {
+  RunBuilder builder;
+  builder.run = make_run(options);
+  const int64_t busy_ns = builder.run.frames.back().end_ns;
+  builder.now_ns = busy_ns + 3'000'000'000;
+  builder.run.events.push_back({busy_ns, builder.now_ns, {}, "idle", {}, ""});
+  const auto count = static_cast<std::size_t>((builder.now_ns - planted::begin_ns) / 1'000'000);
+  builder.add_channel(channel, Quantity::energy, Unit::microjoule, Kind::cumulative, 1'000'000,
+                      count, [&, total = 0.0](std::size_t i) mutable {
+                        const auto t_ns = planted::begin_ns + static_cast<int64_t>(i) * 1'000'000;
+                        total += t_ns < busy_ns ? 1'000 * (5 + watts) : 5'000;
+                        return total;
+                      });
+  return builder.run;
 }
 
 TEST(Compare, ComparesEnergyOnTheSameChannel) {
-  const auto with_energy = [](double watts) {
-    RunRecord run = make_run({.seed = 1});
-    RunBuilder builder;
-    const int64_t busy_ns = run.frames.back().end_ns;
-    builder.run = std::move(run);
-    builder.now_ns = busy_ns + 3'000'000'000;
-    builder.run.events.push_back({busy_ns, builder.now_ns, {}, "idle", {}, ""});
-    const auto count = static_cast<std::size_t>((builder.now_ns - planted::begin_ns) / 1'000'000);
-    builder.add_channel("rapl.package-0.energy", Quantity::energy, Unit::microjoule,
-                        Kind::cumulative, 1'000'000, count,
-                        [&, total = 0.0](std::size_t i) mutable {
-                          const auto t_ns = planted::begin_ns + static_cast<int64_t>(i) * 1'000'000;
-                          total += t_ns < busy_ns ? 1'000 * (5 + watts) : 5'000;
-                          return total;
-                        });
-    return builder.run;
-  };
-  const Comparison result = compare(with_energy(10), with_energy(13));
+  const RunRecord a = run_with_energy({1}, 10);
+  const RunRecord b = run_with_energy({1}, 13);
+  const Comparison result = compare(a, b);
   ASSERT_EQ(result.energy.size(), 3u);
   EXPECT_NEAR(result.energy[0].joules_per_frame.value, 1.3, 0.02);
   EXPECT_EQ(change_of(result.energy[0].joules_per_frame), Change::slower);
+  const Comparison back = compare(b, a);
+  EXPECT_NEAR(back.energy[0].joules_per_frame.interval.high *
+                  result.energy[0].joules_per_frame.interval.low,
+              1, 1e-9);
   const auto json = compare_json(result);
   EXPECT_EQ(json.at("energy").at(0).at("channel"), "rapl.package-0.energy");
   EXPECT_EQ(json.at("cells").size(), 6u);
   EXPECT_TRUE(json.at("verdict").is_string());
+  EXPECT_THAT(compare(a, run_with_energy({1}, 10, "nvml.gpu0.energy")).notes,
+              Contains(HasSubstr("on the same channel")));
+}
+
+TEST(Compare, EnergyOverOtherViewsIsNotCompared) {
+  const Comparison result = compare(run_with_energy({.views = {0, 1}}, 10),
+                                    run_with_energy({.seed = 2, .views = {1, 2}}, 13));
+  EXPECT_TRUE(result.energy.empty());
+  EXPECT_THAT(result.notes, Contains(StartsWith("Energy of m, A and 2 more is not compared")));
 }
 
 }  // namespace
