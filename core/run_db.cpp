@@ -570,7 +570,9 @@ void read_wide_reads(Database& db, RunRecord& run) {
     run.wide_reads[static_cast<int32_t>(s.integer(0))].push_back({s.integer(1), s.integer(2)});
 }
 
-void read_trials(Database& db, RunRecord& run) {
+/// Gives the places of trials whose begin is not known: of those that were skipped, say.
+std::vector<std::size_t> read_trials(Database& db, RunRecord& run) {
+  std::vector<std::size_t> undated;
   Statement s(db, select(db, "trials",
                          {"id", "model", "view", "algorithm", "repetition", "position", "begin_ns",
                           "end_ns", "skip_reason", "build_ns", "blob_bytes"},
@@ -587,8 +589,9 @@ void read_trials(Database& db, RunRecord& run) {
     t.algorithm = s.text(3);
     t.repetition = s.optional_integer(4).value_or(0);
     t.position = s.optional_integer(5).value_or(0);
-    t.begin_ns = s.integer(6);
     t.end_ns = s.optional_integer(7);
+    if (s.is_null(6)) undated.push_back(run.trials.size());
+    t.begin_ns = s.optional_integer(6).value_or(0);
     t.skip_reason = s.text(8);
     t.build_ns = s.optional_integer(9);
     t.blob_bytes = s.optional_integer(10);
@@ -609,9 +612,32 @@ void read_trials(Database& db, RunRecord& run) {
     t.cache_model = s.text(25);
     run.trials.push_back(std::move(t));
   }
+  return undated;
+}
+
+/// A trial whose begin is not known began with its first frame; without frames, at its end, or,
+/// where that is unknown too, behind everything that was recorded.
+void date_trials(RunRecord& run, const std::vector<std::size_t>& undated) {
+  if (undated.empty()) return;
+  std::map<int64_t, int64_t> first_ns;
+  int64_t last_ns = 0;
+  for (const auto& [id, series] : run.series)
+    if (!series.t_ns.empty()) last_ns = std::max(last_ns, series.t_ns.back());
+  for (const FrameRecord& frame : run.frames) {
+    const auto first = first_ns.try_emplace(frame.trial_id, frame.begin_ns).first;
+    first->second = std::min(first->second, frame.begin_ns);
+    last_ns = std::max(last_ns, frame.end_ns);
+  }
+  for (const std::size_t i : undated) {
+    Trial& trial = run.trials[i];
+    const auto first = first_ns.find(trial.id);
+    trial.begin_ns = first != first_ns.end() ? first->second : trial.end_ns.value_or(last_ns);
+  }
 }
 
 void read_frames(Database& db, RunRecord& run) {
+  std::size_t undated_count = 0;
+  std::optional<int64_t> undated_ns;
   Statement s(db, select(db, "frames",
                          {"id", "trial_id", "frame", "phase", "submit_ns", "begin_ns", "end_ns",
                           "clock_error_ns", "ray_count", "hit_count", "hit_checksum",
@@ -619,6 +645,12 @@ void read_frames(Database& db, RunRecord& run) {
                          {"box_test_count", "dispatch_count", "loop_step_count", "simd_efficiency"},
                          "begin_ns, id"));
   while (s.next()) {
+    if (s.is_null(5) || s.is_null(6)) {
+      ++undated_count;
+      for (const int column : {4, 5, 6})
+        if (!undated_ns) undated_ns = s.optional_integer(column);
+      continue;
+    }
     FrameRecord f;
     f.id = s.integer(0);
     f.trial_id = s.integer(1);
@@ -639,6 +671,14 @@ void read_frames(Database& db, RunRecord& run) {
     f.simd_efficiency = optional_real(s, 16);
     run.frames.push_back(std::move(f));
   }
+  if (undated_count == 0) return;
+  Event event;
+  event.t_ns = undated_ns.value_or(run.frames.empty() ? 0 : run.frames.back().end_ns);
+  event.severity = Severity::warning;
+  event.kind = "frame-undated";
+  event.text =
+      fmt::format("frames without a begin or an end, which were left out: {}", undated_count);
+  run.events.push_back(std::move(event));
 }
 
 void read_self_check(Database& db, RunRecord& run) {
@@ -686,8 +726,9 @@ RunRecord read_run(const std::filesystem::path& run) {
     read_channel_traits(db, record);
     read_samples(db, record);
     read_wide_reads(db, record);
-    read_trials(db, record);
+    const std::vector<std::size_t> undated = read_trials(db, record);
     read_frames(db, record);
+    date_trials(record, undated);
     read_self_check(db, record);
     read_events(db, record);
     return record;

@@ -344,6 +344,26 @@ TEST_F(RunDb, LeavesOutInfiniteSamplesAndSaysSo) {
   EXPECT_THAT(run.events[0].text, HasSubstr("2 of its samples"));
 }
 
+TEST_F(RunDb, TakesTrialsAndFramesWhoseTimesAreNotKnown) {
+  execute(foreign_run);
+  execute(
+      "DELETE FROM trials; DELETE FROM frames;"
+      "INSERT INTO trials(id,model,view,algorithm) VALUES(1,'m',0,'A');"
+      "INSERT INTO trials(id,model,view,algorithm,skip_reason) VALUES(2,'m',0,'B','no memory');"
+      "INSERT INTO frames(id,trial_id,frame,phase,begin_ns,end_ns) VALUES"
+      "(1,1,0,'timed',100,200),(2,1,1,'timed',200,300),(3,1,2,'timed',300,NULL);");
+  const RunRecord run = read_run(file());
+  ASSERT_EQ(run.trials.size(), 2u);
+  EXPECT_EQ(run.trials[0].begin_ns, 100);
+  EXPECT_EQ(run.trials[1].begin_ns, 300) << "behind everything that was recorded";
+  EXPECT_EQ(run.trials[1].skip_reason, "no memory");
+  EXPECT_EQ(run.frames.size(), 2u);
+  ASSERT_EQ(run.events.size(), 1u);
+  EXPECT_EQ(run.events[0].kind, "frame-undated");
+  EXPECT_EQ(run.events[0].t_ns, 300);
+  EXPECT_THAT(run.events[0].text, HasSubstr("left out: 1"));
+}
+
 TEST_F(RunDb, TakesWhatAnotherToolKnowsOfChannels) {
   execute(foreign_run);
   execute(
