@@ -543,12 +543,15 @@ class Pricing {
     if (!(error < 30 * config_.max_error_ratio))
       return fmt::format("what it {} is not clearly above 0: it is lost in what the error may be",
                          what);
-    const double factor = std::pow(error / config_.max_error_ratio, 2);
+    // Rounded up: an error just above the bound must not read as the bound.
+    const double step = error < 2 * config_.max_error_ratio ? 1e-3 : 1e-2;
+    const double shown = std::min(9.99, step * std::ceil(error / step));
+    const double factor = std::pow(shown / config_.max_error_ratio, 2);
     return fmt::format(
-        "what it {} is known with an error of {:.0f} %, and {:.0f} % is the most. Windows of {} of "
+        "what it {} is known with an error of {:.3g} %, and {:.0f} % is the most. Windows of {} of "
         "timed frames in all, instead of {}, would be needed",
-        what, std::min(999.0, 100 * error), 100 * config_.max_error_ratio,
-        scaled(traced_s * factor, "s"), scaled(traced_s, "s"));
+        what, 100 * shown, 100 * config_.max_error_ratio, scaled(traced_s * factor, "s"),
+        scaled(traced_s, "s"));
   }
 
   [[nodiscard]] std::string no_idle() const {
