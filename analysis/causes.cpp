@@ -308,8 +308,11 @@ class Judge {
         one.shown[low_clock] = true;
         // Time that the clock explains needs no other explanation.
         for (const std::size_t h : {misses, interruption}) one.weigh(h, 0.2);
-      } else if (read && fall < 0.25 * needed) {
-        for (const std::size_t h : {power, thermal, other, low_clock}) one.weigh(h, clock_denial);
+      } else if (read && fall < 0.5 * needed) {
+        // Less than half of the time: the less, the more something else must have taken the rest.
+        const double missing = std::min((0.5 - fall / needed) / 0.25, 1.0);
+        for (const std::size_t h : {power, thermal, other, low_clock})
+          one.weigh(h, std::pow(clock_denial, missing));
       } else {
         one.weigh(low_clock, denial);
       }
