@@ -271,11 +271,16 @@ class Judge {
     if (!clock_) return;
     const DeviceClock* clock = &*clock_;
     std::vector<std::optional<double>> values(frames_.size());
-    for (std::size_t i = 0; i < frames_.size(); ++i)
+    std::vector<std::optional<double>> own_values(frames_.size());
+    for (std::size_t i = 0; i < frames_.size(); ++i) {
       // What was read during slow frames says nothing of the normal ones behind them.
-      if (clock->sample_count(calm_[i].begin_ns, frames_[i].end_ns) > 0)
-        values[i] = clock->over(frames_[i].begin_ns, frames_[i].end_ns);
-    const Reference reference(frames_, normal_, values);
+      if (clock->sample_count(calm_[i].begin_ns, frames_[i].end_ns) == 0) continue;
+      values[i] = clock->over(frames_[i].begin_ns, frames_[i].end_ns);
+      // Many frames that share one reading are no sure level of their trial.
+      if (clock->sample_count(frames_[i].begin_ns, frames_[i].end_ns) > 0)
+        own_values[i] = values[i];
+    }
+    const Reference reference(frames_, normal_, own_values);
     Tail tail(clock->poll_ns());
     std::vector<double> steady;
     for (std::size_t i = 0; i < frames_.size(); ++i)

@@ -106,6 +106,15 @@ TEST(Cause, IsNotAReasonThatLeftTheClockAlone) {
     EXPECT_EQ(outlier.attribution.cause, Cause::unexplained);
 }
 
+TEST(Cause, IsNotAReasonWhoseClockExplainsAThirdOfTheTime) {
+  // Three times as long at 0.7 of the clock: something that no sensor shows took the most of it.
+  OneStretch stretch(30);
+  stretch.level("i915.gt0.act_freq", Quantity::frequency, Unit::megahertz, Kind::gauge, 916, 1300);
+  stretch.level("i915.gt0.throttle.thermal", Quantity::throttle, Unit::none, Kind::flag, 1, 0);
+  for (const Outlier& outlier : stretch.outliers())
+    EXPECT_EQ(outlier.attribution.cause, Cause::unexplained);
+}
+
 TEST(Cause, IsNotAReasonThatIsAlwaysSet) {
   OneStretch stretch(20);
   stretch.level("i915.gt0.throttle.pl1", Quantity::throttle, Unit::none, Kind::flag, 1, 1);
