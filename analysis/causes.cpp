@@ -222,6 +222,15 @@ class Judge {
     std::vector<double> lost_s(search.episode_count, 0.0);
     for (const Case& one : cases_) lost_s[one.slow->episode] += one.excess_s;
     for (Case& one : cases_) one.episode_excess_s = lost_s[one.slow->episode];
+    calm_.resize(frames.size());
+    for (std::size_t i = 0; i < frames.size();) {
+      std::size_t last = i;
+      while (last + 1 < frames.size() && normal_[last + 1] == normal_[i] &&
+             frames[last + 1].trial_index == frames[i].trial_index)
+        ++last;
+      const Window stretch{frames[i].begin_ns, frames[last].end_ns};
+      for (; i <= last; ++i) calm_[i] = stretch;
+    }
     std::map<std::size_t, Span> trials;
     for (const TimedFrame& frame : frames) {
       Span& trial =
@@ -262,9 +271,16 @@ class Judge {
     if (!clock_) return;
     const DeviceClock* clock = &*clock_;
     std::vector<std::optional<double>> values(frames_.size());
-    for (std::size_t i = 0; i < frames_.size(); ++i)
+    std::vector<std::optional<double>> own_values(frames_.size());
+    for (std::size_t i = 0; i < frames_.size(); ++i) {
+      // What was read during slow frames says nothing of the normal ones behind them.
+      if (clock->sample_count(calm_[i].begin_ns, frames_[i].end_ns) == 0) continue;
       values[i] = clock->over(frames_[i].begin_ns, frames_[i].end_ns);
-    const Reference reference(frames_, normal_, values);
+      // Many frames that share one reading are no sure level of their trial.
+      if (clock->sample_count(frames_[i].begin_ns, frames_[i].end_ns) > 0)
+        own_values[i] = values[i];
+    }
+    const Reference reference(frames_, normal_, own_values);
     Tail tail(clock->poll_ns());
     std::vector<double> steady;
     for (std::size_t i = 0; i < frames_.size(); ++i)
@@ -297,8 +313,11 @@ class Judge {
         one.shown[low_clock] = true;
         // Time that the clock explains needs no other explanation.
         for (const std::size_t h : {misses, interruption}) one.weigh(h, 0.2);
-      } else if (read && fall < 0.25 * needed) {
-        for (const std::size_t h : {power, thermal, other, low_clock}) one.weigh(h, clock_denial);
+      } else if (read && fall < 0.5 * needed) {
+        // Less than half of the time: the less, the more something else must have taken the rest.
+        const double missing = std::min((0.5 - fall / needed) / 0.25, 1.0);
+        for (const std::size_t h : {power, thermal, other, low_clock})
+          one.weigh(h, std::pow(clock_denial, missing));
       } else {
         one.weigh(low_clock, denial);
       }
@@ -312,11 +331,29 @@ class Judge {
     return source.active.share(window.begin_ns, window.end_ns);
   }
 
+  /// The same of a normal frame. Of a level that is polled less often than frames end, a reading
+  /// also speaks for frames next to the one in which it was taken: then only what was read since
+  /// the last slow frame counts.
+  [[nodiscard]] std::optional<double> said_normally(std::size_t i,
+                                                    const ThrottleSource& source) const {
+    const TimedFrame& frame = frames_[i];
+    const Channel& channel = run_.channels[source.channel];
+    const auto found = run_.series.find(channel.id);
+    if (source.inferred || !is_level(channel) || found == run_.series.end() ||
+        frame.end_ns - frame.begin_ns >= source.poll_ns)
+      return set_share(source, {frame.begin_ns, frame.end_ns});
+    const auto& t_ns = found->second.t_ns;
+    const auto next = std::lower_bound(t_ns.begin(), t_ns.end(), frame.end_ns);
+    if (next == t_ns.begin() || *(next - 1) < calm_[i].begin_ns) return std::nullopt;
+    return source.active.share(*(next - 1), *(next - 1) + 1) > 0 ? 1.0 : 0.0;
+  }
+
   /// What the source that says most has to say of a case and a hypothesis.
   struct Look {
     double best = 0;  // likelihood ratio; 0: no source looked
     std::vector<Evidence> evidence;
     bool set = false;
+    bool partial = false;  // a source of this kind did not look
   };
   using LooksByHypothesis = std::array<Look, hypothesis_count>;
 
@@ -425,9 +462,10 @@ class Judge {
       for (std::size_t i = 0; i < frames_.size(); ++i) {
         const TimedFrame& frame = frames_[i];
         if (!normal_[i] || source.known.share(frame.begin_ns, frame.end_ns) <= 0.5) continue;
-        const double share = set_share(source, {frame.begin_ns, frame.end_ns});
-        of_run.add(frame, share);
-        of_cells.try_emplace(frame.cell, source.poll_ns).first->second.add(frame, share);
+        const auto share = said_normally(i, source);
+        if (!share) continue;
+        of_run.add(frame, *share);
+        of_cells.try_emplace(frame.cell, source.poll_ns).first->second.add(frame, *share);
       }
       of_run.sort();
       for (auto& [cell, of_cell] : of_cells) of_cell.sort();
@@ -444,15 +482,18 @@ class Judge {
           continue;
         const Tail& tail = is_usual ? of_cell->second : of_run;
         const Window window = window_of(one, source.poll_ns);
-        if (source.known.share(window.begin_ns, window.end_ns) < 0.5) continue;
-        double share = set_share(source, window);
-        if (is_level(channel) && !source.inferred &&
-            one.frame->end_ns - one.frame->begin_ns < source.poll_ns) {
-          const auto read = share_of_readings(one, source, window);
-          if (!read) continue;
-          share = *read;
-        }
         Look& look = looks[c][*hypothesis];
+        std::optional<double> said;
+        if (source.known.share(window.begin_ns, window.end_ns) >= 0.5)
+          said = is_level(channel) && !source.inferred &&
+                         one.frame->end_ns - one.frame->begin_ns < source.poll_ns
+                     ? share_of_readings(one, source, window)
+                     : set_share(source, window);
+        if (!said) {
+          look.partial = true;
+          continue;
+        }
+        const double share = *said;
         const bool set = share >= min_set_share;
         double ratio = denial;
         if (set) {
@@ -471,15 +512,28 @@ class Judge {
         }
       }
     }
+    // The reasons that some frame of an episode had.
+    std::vector<std::array<bool, hypothesis_count>> of_episode(length_.size());
+    for (auto& flags : of_episode) flags.fill(false);
+    for (std::size_t c = 0; c < cases_.size(); ++c)
+      for (const std::size_t h : {power, thermal, other})
+        of_episode[cases_[c].slow->episode][h] |= specific[c][h];
     for (std::size_t c = 0; c < cases_.size(); ++c) {
       Case& one = cases_[c];
-      // "Throttled" and a reason are one statement; where it is neither power nor heat, it is
-      // another.
+      // "Throttled" and a reason are one statement. Read a moment apart, the one may be set before
+      // the other: then it is the reason that the episode has. Where nothing in the episode is
+      // power or heat, it is another.
       Look& held = looks[c][low_clock];
-      const auto denied = [&](Hypothesis h) { return looks[c][h].best == denial; };
+      const auto denied = [&](Hypothesis h) {
+        return looks[c][h].best == denial && !looks[c][h].partial;
+      };
+      const auto& reasons = of_episode[one.slow->episode];
+      const auto reason = std::find(reasons.begin(), reasons.end(), true);
       if (held.set && (specific[c][power] || specific[c][thermal] || specific[c][other]))
         held = {};
-      else if (held.set && denied(power) && denied(thermal))
+      else if (held.set && std::count(reasons.begin(), reasons.end(), true) == 1)
+        looks[c][static_cast<std::size_t>(reason - reasons.begin())] = std::exchange(held, {});
+      else if (held.set && reason == reasons.end() && denied(power) && denied(thermal))
         looks[c][other] = std::exchange(held, {});
       bool any_set = false;
       for (const std::size_t h : {power, thermal, other, quota, low_clock}) {
@@ -906,6 +960,7 @@ class Judge {
   std::span<const TimedFrame> frames_;
   const Throttling& throttling_;
   std::vector<bool> normal_;
+  std::vector<Window> calm_;  // by frame: the frames in a row around it that are as normal as it is
   std::vector<Case> cases_;
   std::optional<DeviceClock> clock_;
   SpanSet trials_;                   // when timed frames were traced, gaps between them included

@@ -832,7 +832,13 @@ class Study {
         "{} of {} outliers were throttled, of all frames {:.1f} %{}, q {:.2g}",
         c.throttled_outlier_count, c.outlier_count, 100 * *c.exposure_ratio,
         c.odds ? fmt::format("; odds ratio {:.3g}", c.odds->value) : std::string(), *c.q);
-    if (*c.q > config_.significance) return {Relation::not_related, numbers};
+    if (*c.q > config_.significance) {
+      // All that could be seen was seen, and the shifts give as much: no data of this shape tells.
+      if (c.odds && !c.odds->high && c.odds->low > 1)
+        return {Relation::cannot_tell,
+                "they come in too few stretches to tell this from chance: " + numbers};
+      return {Relation::not_related, numbers};
+    }
     if (c.odds && c.odds->value > 1) return {Relation::related, numbers};
     return {Relation::not_related, "outliers avoid throttled frames: " + numbers};
   }

@@ -35,6 +35,9 @@ constexpr double max_blur_ratio = 0.3;
 constexpr double idle_margin_ratio = 0.05;
 /// What has to be left of it.
 constexpr int64_t min_idle_updates = 2;
+/// Gaps between frames up to this share of the time may draw what frames draw; in longer ones the
+/// device waits for the next frame and is taken to rest.
+constexpr double max_busy_gap_ratio = 0.05;
 /// Degrees of freedom below which a row does not know its own scatter.
 constexpr double min_scatter_freedom = 10;
 /// Of neighbouring windows: beyond, a trial says nothing about its own mean.
@@ -75,6 +78,7 @@ struct Window {
   double length_s = 0;
   double frame_count = 0;
   double ray_count = 0;
+  double gap_s = 0;       // of length_s: between the frames
   std::size_t trial = 0;  // into Plan::stretches
   IdleBaseline::Shape rest{};
 };
@@ -111,6 +115,13 @@ Estimate around(double value, double standard_error, double freedom) {
 double error_ratio(const Estimate& estimate) {
   const double error = (estimate.interval.high - estimate.interval.low) / (2 * 1.96);
   return estimate.value > 0 ? error / estimate.value : std::numeric_limits<double>::infinity();
+}
+
+/// Allows for short gaps that draw as much as frames do: then that part was not drawn by frames.
+Estimate without_gaps(Estimate estimate, double gap_ratio) {
+  if (gap_ratio > 0 && gap_ratio <= max_busy_gap_ratio)
+    estimate.interval.low -= gap_ratio * estimate.value;
+  return estimate;
 }
 
 // ---------------------------------------------------------------------------- the plan
@@ -255,6 +266,7 @@ class Pricing {
     sum.length_s += window.length_s;
     sum.frame_count += window.frame_count;
     sum.ray_count += window.ray_count;
+    sum.gap_s += window.gap_s;
     for (std::size_t k = 0; k < sum.rest.size(); ++k) sum.rest[k] += window.rest[k];
   }
 
@@ -305,8 +317,14 @@ class Pricing {
   // -- windows
 
   void cut_windows(std::size_t trial, std::size_t at_least) {
-    const TimedStretch& stretch = plan_.stretches[trial];
+    TimedStretch stretch = plan_.stretches[trial];
     const auto& frames = plan_.frames;
+    // Frames before the first reading or behind the last would take their whole window with them.
+    while (stretch.first < stretch.last && frames[stretch.first].begin_ns < curve_.begin_ns())
+      ++stretch.first;
+    while (stretch.first < stretch.last && frames[stretch.last - 1].end_ns > curve_.end_ns())
+      --stretch.last;
+    if (stretch.first == stretch.last) return;
     const int64_t begin_ns = frames[stretch.first].begin_ns;
     const int64_t end_ns = frames[stretch.last - 1].end_ns;
     const std::size_t frame_count = stretch.last - stretch.first;
@@ -334,12 +352,14 @@ class Pricing {
                       seconds(to_ns - from_ns),
                       static_cast<double>(last - first),
                       0,
+                      seconds(to_ns - from_ns),
                       trial,
                       idle_.shape(from_ns, to_ns)};
         bool rays_known = true;
         for (std::size_t i = first; i < last; ++i) {
           rays_known = rays_known && plan_.rays[i] >= 0;
           window.ray_count += plan_.rays[i];
+          window.gap_s -= frames[i].ms * 1e-3;
         }
         if (!rays_known) window.ray_count = 0;
         windows_.push_back(window);
@@ -503,6 +523,8 @@ class Pricing {
       row.refused = too_uncertain("drew", error, sum.length_s);
       return;
     }
+    const double gap_ratio = sum.gap_s / sum.length_s;
+    row.gross_joules_per_frame = without_gaps(*row.gross_joules_per_frame, gap_ratio);
     if (idle_.empty()) {
       row.refused = no_idle();
       return;
@@ -521,16 +543,17 @@ class Pricing {
     row.idle_w = rest_j / sum.length_s;
     set_net(row, around(net_j / sum.frame_count, std::sqrt(variance), freedom),
             rays_known ? std::optional(sum.ray_count / sum.frame_count) : std::nullopt,
-            plan_.mean_frame_s[r], sum.length_s);
+            plan_.mean_frame_s[r], sum.length_s, gap_ratio);
   }
 
   /// The net numbers of a row, or why there are none.
-  void set_net(EnergyRow& row, const Estimate& joules, std::optional<double> ray_count,
-               double frame_s, double traced_s) const {
+  void set_net(EnergyRow& row, Estimate joules, std::optional<double> ray_count, double frame_s,
+               double traced_s, double gap_ratio) const {
     if (const double error = error_ratio(joules); !(error <= config_.max_error_ratio)) {
       row.refused = too_uncertain("drew above idle", error, traced_s);
       return;
     }
+    joules = without_gaps(joules, gap_ratio);
     row.joules_per_frame = joules;
     if (ray_count && *ray_count > 0) {
       const double factor = 1e9 / *ray_count;
@@ -550,12 +573,15 @@ class Pricing {
     if (!(error < 30 * config_.max_error_ratio))
       return fmt::format("what it {} is not clearly above 0: it is lost in what the error may be",
                          what);
-    const double factor = std::pow(error / config_.max_error_ratio, 2);
+    // Rounded up: an error just above the bound must not read as the bound.
+    const double step = error < 2 * config_.max_error_ratio ? 1e-3 : 1e-2;
+    const double shown = std::min(9.99, step * std::ceil(error / step));
+    const double factor = std::pow(shown / config_.max_error_ratio, 2);
     return fmt::format(
-        "what it {} is known with an error of {:.0f} %, and {:.0f} % is the most. Windows of {} of "
+        "what it {} is known with an error of {:.3g} %, and {:.0f} % is the most. Windows of {} of "
         "timed frames in all, instead of {}, would be needed",
-        what, std::min(999.0, 100 * error), 100 * config_.max_error_ratio,
-        scaled(traced_s * factor, "s"), scaled(traced_s, "s"));
+        what, 100 * shown, 100 * config_.max_error_ratio, scaled(traced_s * factor, "s"),
+        scaled(traced_s, "s"));
   }
 
   [[nodiscard]] std::string no_idle() const {
@@ -847,7 +873,7 @@ class Pricing {
     row.window_count = e.blocks[r].size();
     set_net(row, around(net_j, std::hypot(*stddev(net) * correction, lean_j), block_count - 1),
             rays_known ? std::optional(ray_count / frame_count) : std::nullopt,
-            plan_.mean_frame_s[r], stretch_s);
+            plan_.mean_frame_s[r], stretch_s, 0);
     return true;
   }
 

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <optional>
 #include <set>
 #include <span>
 
@@ -210,6 +211,35 @@ void warn_about_silences(const std::vector<SensorSummary>& sensors,
       scaled(static_cast<double>(*longest->longest_silence_ns) * 1e-9, "s")));
 }
 
+/// Frames and samples that never meet were not stamped by one clock.
+void find_other_clock(const RunRecord& run, std::vector<SensorSummary>& sensors,
+                      std::vector<std::string>& warnings) {
+  std::optional<Stretch> traced;
+  for (const FrameRecord& frame : run.frames)
+    traced = traced ? Stretch{std::min(traced->begin_ns, frame.begin_ns),
+                              std::max(traced->end_ns, frame.end_ns)}
+                    : Stretch{frame.begin_ns, frame.end_ns};
+  std::optional<Stretch> sampled;
+  for (const auto& [id, series] : run.series) {
+    if (series.t_ns.size() < 2) continue;  // a limit that is read once stands for the whole run
+    const auto [first, last] = std::minmax_element(series.t_ns.begin(), series.t_ns.end());
+    sampled = sampled
+                  ? Stretch{std::min(sampled->begin_ns, *first), std::max(sampled->end_ns, *last)}
+                  : Stretch{*first, *last};
+  }
+  if (!traced || !sampled) return;
+  const int64_t apart_ns =
+      std::max(sampled->begin_ns - traced->end_ns, traced->begin_ns - sampled->end_ns);
+  if (apart_ns < 0) return;
+  for (SensorSummary& sensor : sensors) sensor.beside_frames = false;
+  warnings.push_back(
+      fmt::format("No sensor was read while frames ran: all readings lie {} {} them or more. "
+                  "Frames and samples "
+                  "must have their times from one clock, CLOCK_MONOTONIC.",
+                  scaled(static_cast<double>(apart_ns) * 1e-9, "s"),
+                  sampled->begin_ns >= traced->end_ns ? "behind" : "before"));
+}
+
 template <class Map>
 const typename Map::mapped_type* find_or_null(const Map& map, int32_t id) {
   const auto found = map.find(id);
@@ -218,7 +248,9 @@ const typename Map::mapped_type* find_or_null(const Map& map, int32_t id) {
 
 }  // namespace
 
-bool SensorSummary::is_usable() const { return sample_count > 0 && status != never_moved; }
+bool SensorSummary::is_usable() const {
+  return sample_count > 0 && beside_frames && status != never_moved;
+}
 
 std::vector<SensorSummary> summarize_sensors(const RunRecord& run, bool on_gpu,
                                              std::vector<std::string>& warnings) {
@@ -232,6 +264,7 @@ std::vector<SensorSummary> summarize_sensors(const RunRecord& run, bool on_gpu,
     warnings.push_back(
         fmt::format("The machine slept {}. What counters did meanwhile counts as nothing.",
                     counted(context.sleeps.size(), "time")));
+  find_other_clock(run, sensors, warnings);
   return sensors;
 }
 

@@ -33,7 +33,12 @@ struct SensorSummary {
   /// "ok", "constant", "no samples", "went away", or never_moved.
   std::string status;
 
-  /// Whether its numbers mean something: it was sampled, and is no counter that never moved.
+  /// False of all sensors if none was read while frames ran: their times are those of another
+  /// clock.
+  bool beside_frames = true;
+
+  /// Whether its numbers mean something: it was sampled, not elsewhere in time, and is no counter
+  /// that never moved.
   [[nodiscard]] bool is_usable() const;
 };
 

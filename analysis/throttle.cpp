@@ -4,6 +4,7 @@
 #include <array>
 #include <cctype>
 #include <cmath>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <span>
 #include <string>
@@ -360,8 +361,8 @@ void spans_of_counter(const Channel& channel, const ChannelTrack& track, bool qu
     };
     std::vector<Rise> joined;
     for (const Rise& rise : rises) {
-      if (!joined.empty() && rise.t_ns - joined.back().t_ns <= at_once_ns && in_one_piece(rise) &&
-          in_one_piece(joined.back()))
+      if (!joined.empty() && rise.t_ns - joined.back().t_ns <= at_once_ns &&
+          (in_one_piece(rise) || in_one_piece(joined.back())))
         joined.back().amount += rise.amount;
       else
         joined.push_back(rise);
@@ -499,6 +500,20 @@ DeviceKind device_kind(const RunRecord& run) {
 SpanSet busy_spans(std::span<const TimedFrame> frames) {
   std::vector<Span> spans;
   for (const TimedFrame& frame : frames) spans.push_back({frame.begin_ns, frame.end_ns});
+  return SpanSet(std::move(spans));
+}
+
+/// From the first frame of each trial to its last, warm-up included.
+SpanSet traced_spans(const RunRecord& run) {
+  std::map<int64_t, Span> by_trial;
+  for (const FrameRecord& frame : run.frames) {
+    Span& span =
+        by_trial.try_emplace(frame.trial_id, Span{frame.begin_ns, frame.end_ns}).first->second;
+    span.begin_ns = std::min(span.begin_ns, frame.begin_ns);
+    span.end_ns = std::max(span.end_ns, frame.end_ns);
+  }
+  std::vector<Span> spans;
+  for (const auto& [trial, span] : by_trial) spans.push_back(span);
   return SpanSet(std::move(spans));
 }
 
@@ -731,12 +746,13 @@ std::optional<DeviceClock> device_clock(const RunRecord& run, std::span<const Ti
   if (gpu.empty() && kind == DeviceKind::gpu) return std::nullopt;
   DeviceClock clock;
   const SpanSet busy = busy_spans(frames);
+  const SpanSet traced = traced_spans(run);
   for (const std::size_t c : gpu.empty() || (kind == DeviceKind::cpu && !cpu.empty()) ? cpu : gpu) {
     const Channel& channel = run.channels[c];
     SampleSeries awake;
     const SampleSeries& series = *series_of(run, channel);
     for (std::size_t i = 0; i < series.t_ns.size() && i < series.value.size(); ++i)
-      if (series.value[i] > 0) {
+      if (series.value[i] > 0 && traced.seconds(series.t_ns[i], series.t_ns[i] + 1) > 0) {
         awake.t_ns.push_back(series.t_ns[i]);
         awake.value.push_back(series.value[i]);
       }

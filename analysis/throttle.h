@@ -91,7 +91,8 @@ struct Throttling {
 
 /// The clock that frames run at: the mean of the channels that measure the device's clock (GPU
 /// clocks where there are any, CPU clocks where the device is one or is not known), as a ratio to
-/// the steady clock, which is the 95 % quantile while frames run. Zeroes (asleep) are left out.
+/// the steady clock, which is the 95 % quantile while frames run. Zeroes (asleep) are left out, and
+/// readings between trials: a clock at rest would stand for the first frames after it.
 struct DeviceClock {
   std::vector<std::size_t> channels;  ///< into RunRecord::channels; the first names it
   std::vector<ChannelTrack> tracks;

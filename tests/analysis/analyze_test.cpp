@@ -5,6 +5,7 @@
 
 #include <cmath>
 
+#include "analysis/report_text.h"
 #include "planted_run.h"
 
 namespace energyprof::analysis {
@@ -474,6 +475,20 @@ TEST(Analyze, SensorsHaveMeansOverTime) {
   EXPECT_EQ(analysis.sensors[2].silence_count, 1);
   EXPECT_EQ(analysis.sensors[2].longest_silence_ns, 1'000'000'000);
   EXPECT_THAT(analysis.warnings, Contains(HasSubstr("1 channel went without samples")));
+}
+
+TEST(Analyze, SensorsOfAnotherClockHaveSeenNothing) {
+  RunBuilder builder;
+  builder.add_trial("m", 0, "A", std::vector<double>(100, 10.0));
+  const Channel clock = builder.add_channel(
+      "gpu.clock", Quantity::frequency, Unit::megahertz, Kind::gauge, 10'000'000, 100,
+      [](std::size_t i) { return i % 2 == 0 ? 900.0 : 1000.0; });
+  EXPECT_TRUE(analyze(builder.run).sensors.at(0).is_usable());
+  for (int64_t& t_ns : builder.run.series[clock.id].t_ns) t_ns += 3'600'000'000'000;
+  const Analysis analysis = analyze(builder.run);
+  EXPECT_FALSE(analysis.sensors.at(0).is_usable());
+  EXPECT_THAT(analysis.warnings, Contains(HasSubstr("No sensor was read while frames ran")));
+  EXPECT_THAT(answer_text(analysis).back(), HasSubstr("Not seen: energy, clocks"));
 }
 
 TEST(Analyze, SilenceThatWasWantedIsNoWarning) {

@@ -106,6 +106,15 @@ TEST(Cause, IsNotAReasonThatLeftTheClockAlone) {
     EXPECT_EQ(outlier.attribution.cause, Cause::unexplained);
 }
 
+TEST(Cause, IsNotAReasonWhoseClockExplainsAThirdOfTheTime) {
+  // Three times as long at 0.7 of the clock: something that no sensor shows took the most of it.
+  OneStretch stretch(30);
+  stretch.level("i915.gt0.act_freq", Quantity::frequency, Unit::megahertz, Kind::gauge, 916, 1300);
+  stretch.level("i915.gt0.throttle.thermal", Quantity::throttle, Unit::none, Kind::flag, 1, 0);
+  for (const Outlier& outlier : stretch.outliers())
+    EXPECT_EQ(outlier.attribution.cause, Cause::unexplained);
+}
+
 TEST(Cause, IsNotAReasonThatIsAlwaysSet) {
   OneStretch stretch(20);
   stretch.level("i915.gt0.throttle.pl1", Quantity::throttle, Unit::none, Kind::flag, 1, 1);
@@ -396,6 +405,78 @@ TEST(Cause, OfThrottlingThatIsNeitherPowerNorHeatIsAnother) {
   stretch.level("i915.gt0.throttle.pl1", Quantity::throttle, Unit::none, Kind::flag, 0, 0);
   stretch.level("i915.gt0.throttle.thermal", Quantity::throttle, Unit::none, Kind::flag, 0, 0);
   stretch.expect(Cause::throttle_other, "i915.gt0.act_freq");
+}
+
+TEST(Cause, OfThrottlingWhoseReasonIsReadLaterIsThatReason) {
+  // The summary is set with the first slow frame, the reason 30 ms later.
+  OneStretch stretch(20);
+  stretch.level("i915.gt0.act_freq", Quantity::frequency, Unit::megahertz, Kind::gauge, 650, 1300);
+  stretch.level("i915.gt0.throttle.status", Quantity::throttle, Unit::none, Kind::flag, 1, 0);
+  stretch.level("i915.gt0.throttle.thermal", Quantity::throttle, Unit::none, Kind::flag, 0, 0);
+  stretch.builder.add_channel("i915.gt0.throttle.pl1", Quantity::throttle, Unit::none, Kind::flag,
+                              ms, stretch.count,
+                              [begin = stretch.begin, end = stretch.end](std::size_t i) {
+                                return i >= begin + 30 && i < end ? 1.0 : 0.0;
+                              });
+  stretch.expect(Cause::throttle_power, "i915.gt0.act_freq");
+}
+
+TEST(Cause, OfThrottlingIsNotAnotherWhereAReasonWasNotRead) {
+  // The running average (RATL) denies heat, but the sensor of heat itself has an outage.
+  OneStretch stretch(20);
+  stretch.level("i915.gt0.act_freq", Quantity::frequency, Unit::megahertz, Kind::gauge, 650, 1300);
+  stretch.level("i915.gt0.throttle.status", Quantity::throttle, Unit::none, Kind::flag, 1, 0);
+  stretch.level("i915.gt0.throttle.pl1", Quantity::throttle, Unit::none, Kind::flag, 0, 0);
+  stretch.level("i915.gt0.throttle.ratl", Quantity::throttle, Unit::none, Kind::flag, 0, 0);
+  const Channel& heat =
+      stretch.level("i915.gt0.throttle.thermal", Quantity::throttle, Unit::none, Kind::flag, 0, 0);
+  SampleSeries& series = stretch.builder.run.series[heat.id];
+  const auto first = static_cast<std::ptrdiff_t>(stretch.begin) - 5;
+  const auto last = static_cast<std::ptrdiff_t>(stretch.end) + 5;
+  series.t_ns.erase(series.t_ns.begin() + first, series.t_ns.begin() + last);
+  series.value.erase(series.value.begin() + first, series.value.begin() + last);
+  for (const Outlier& outlier : stretch.outliers())
+    EXPECT_EQ(outlier.attribution.cause, Cause::unexplained);
+}
+
+TEST(Cause, IsAReasonOfSlowSensorsInShortTrials) {
+  // Eight trials, each of 12 frames of 5 ms, 25 of 10 ms and again 12 of 5 ms; clock and reasons
+  // are read every 100 ms only, so that readings from the slow frames stand for fast ones behind
+  // them.
+  RunBuilder builder;
+  struct Trial {
+    int64_t slow_ns, fast_ns, begin_ns, end_ns;
+  };
+  std::vector<Trial> trials;
+  for (int trial = 0; trial < 8; ++trial) {
+    std::vector<double> times_ms(49, 10.0);
+    for (std::size_t i = 0; i < 12; ++i)
+      times_ms[i] = times_ms[48 - i] = 5 + 0.05 * static_cast<double>(i % 3);
+    const int64_t begin_ns = builder.now_ns;
+    builder.add_trial("m", 0, trial % 2 == 0 ? "A" : "B", times_ms);
+    trials.push_back({begin_ns + 60 * ms, begin_ns + 310 * ms, begin_ns, builder.now_ns});
+    builder.now_ns += 447 * ms;
+  }
+  const auto count = static_cast<std::size_t>((builder.now_ns - planted::begin_ns) / (100 * ms));
+  const auto is_slow = [&](std::size_t i, bool at_rest) {
+    const int64_t t_ns = planted::begin_ns + static_cast<int64_t>(i) * 100 * ms;
+    for (const Trial& trial : trials)
+      if (t_ns >= trial.begin_ns && t_ns < trial.end_ns)
+        return t_ns >= trial.slow_ns && t_ns < trial.fast_ns;
+    return at_rest;
+  };
+  builder.add_channel("i915.gt0.act_freq", Quantity::frequency, Unit::megahertz, Kind::gauge,
+                      100 * ms, count,
+                      [&](std::size_t i) { return is_slow(i, true) ? 650.0 : 1300.0; });
+  builder.add_channel("i915.gt0.throttle.thermal", Quantity::throttle, Unit::none, Kind::flag,
+                      100 * ms, count,
+                      [&](std::size_t i) { return is_slow(i, false) ? 1.0 : 0.0; });
+  builder.add_channel("i915.gt0.throttle.pl1", Quantity::throttle, Unit::none, Kind::flag, 100 * ms,
+                      count, [](std::size_t) { return 0.0; });
+  const auto outliers = analyze(builder.run).outliers;
+  ASSERT_EQ(outliers.size(), 200u);
+  for (const Outlier& outlier : outliers)
+    EXPECT_EQ(to_string(outlier.attribution.cause), to_string(Cause::throttle_thermal));
 }
 
 TEST(Cause, IsMissesThatRoseFasterThanTime) {

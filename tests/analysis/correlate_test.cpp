@@ -179,6 +179,17 @@ TEST(Correlate, CountsOutliersAmongThrottledFrames) {
   EXPECT_THAT(to_string(found.verdict), StartsWith("related: "));
 }
 
+TEST(Correlate, OneStretchInCommonMayBeChance) {
+  // Of nine trials one is throttled, and it is the slow one: one turn in nine gives as much.
+  Planted run(18);
+  run.lay(9, 50, [&](std::size_t) { return 1 + 0.02 * run.noise(); });
+  for (std::size_t i = 200; i < 250; ++i) run.throttled[i] = run.outlier[i] = true;
+  const Coincidence found = *run.run().coincidence;
+  EXPECT_EQ(found.throttled_outlier_count, 50u);
+  EXPECT_GT(*found.p, 0.05);
+  EXPECT_THAT(to_string(found.verdict), StartsWith("cannot tell: they come in too few stretches"));
+}
+
 TEST(Correlate, SaysWhyItCannotTell) {
   Planted run(7);
   run.lay(6, 50, [&](std::size_t) { return 1 + 0.02 * run.noise(); });

@@ -32,7 +32,8 @@ class Machine {
   int64_t now_ns = 1'000 * second;
   RunRecord run;
   double idle_w = 5;
-  int64_t gap_ns = 0;  ///< behind each frame, at rest
+  int64_t gap_ns = 0;      ///< behind each frame
+  bool busy_gaps = false;  ///< they draw what the frame draws; else what rest draws
   std::map<std::pair<std::string, std::string>, double> net_j, frame_count, ray_count;
 
   double noise() { return normal_(random_); }
@@ -73,7 +74,7 @@ class Machine {
         ray_count[key] += static_cast<double>(*frame.ray_count);
       }
       run.frames.push_back(frame);
-      if (gap_ns > 0) draw(gap_ns, idle_w);
+      if (gap_ns > 0) draw(gap_ns, busy_gaps ? idle_w + power : idle_w);
     }
     trial.end_ns = now_ns;
     run.trials.push_back(trial);
@@ -577,6 +578,45 @@ TEST(Energy, GapsBetweenFramesAreNoPartOfTheirPower) {
     EXPECT_NEAR(row.joules_per_frame->value, truth, 0.03 * truth);
     EXPECT_NEAR(*row.watts_above_idle, truth / 0.005, 0.03 * truth / 0.005);
   }
+}
+
+TEST(Energy, AllowsForShortGapsThatDrawWhatFramesDraw) {
+  // Between frames of 10 ms the machine draws for 0.2 ms more what it draws in a frame.
+  Machine machine(31);
+  machine.gap_ns = 200 * us;
+  machine.busy_gaps = true;
+  study(machine, 10 * ms, 100);
+  machine.count("rapl.package-0.energy", 976 * us, ms);
+  for (const EnergyRow& row : machine.price().rows) {
+    const double truth = machine.true_joules(row);
+    ASSERT_TRUE(row.joules_per_frame);
+    EXPECT_LE(row.joules_per_frame->interval.low, truth);
+    EXPECT_GE(row.joules_per_frame->interval.high, truth);
+    EXPECT_LE(row.gross_joules_per_frame->interval.low, truth + 5 * 0.010);
+    EXPECT_LT(row.joules_per_frame->interval.high, 1.1 * row.joules_per_frame->interval.low);
+  }
+}
+
+TEST(Energy, OfFramesBeforeTheFirstReadingDoesNotTakeTheirWindowAlong) {
+  // The first trial draws more than the other five, and the first reading comes after its first
+  // frame began.
+  Machine machine(32);
+  machine.trace("m", 0, "A", 13, 200 * ms, 15, 0);
+  machine.run.frames.erase(machine.run.frames.begin(), machine.run.frames.begin() + 2);
+  for (int i = 0; i < 5; ++i) {
+    machine.idle(3 * second);
+    machine.trace("m", 0, "A", 10, 200 * ms, 15, 0);
+  }
+  const Channel counter = machine.count("rapl.package-0.energy", 100 * ms, 50 * ms);
+  SampleSeries& series = machine.run.series[counter.id];
+  const auto first = std::upper_bound(series.t_ns.begin(), series.t_ns.end(),
+                                      machine.run.frames.front().begin_ns + 5 * ms) -
+                     series.t_ns.begin();
+  series.t_ns.erase(series.t_ns.begin(), series.t_ns.begin() + first);
+  series.value.erase(series.value.begin(), series.value.begin() + first);
+  const EnergyRow row = machine.price().rows.front();
+  ASSERT_TRUE(row.gross_joules_per_frame);
+  EXPECT_NEAR(row.gross_joules_per_frame->value, 0.2 * (14 * 18 + 75 * 15) / 89, 0.04);
 }
 
 TEST(Energy, OfAnAlgorithmThatDrewNothingIsNotBelieved) {

@@ -166,6 +166,20 @@ TEST(Throttling, TimeCountedInOnePieceEndsWhereItIsSeen) {
   EXPECT_NEAR(static_cast<double>(spans[5].end_ns - spans[5].begin_ns), 60e6, 1e6);
 }
 
+TEST(Throttling, TimeThatAppearsInSmallAndLargePiecesIsOneStop) {
+  // Every 100 ms a stop of 60 ms, of which 1 ms appears first and the rest with the next reading.
+  RunBuilder builder = steady_run();
+  builder.add_channel("cgroup.cpu.throttled", Quantity::interference, Unit::microsecond,
+                      Kind::cumulative, ms, 10'000, [](std::size_t i) {
+                        return 60'000.0 * static_cast<double>(i / 100) +
+                               (i % 100 == 99 ? 1'000.0 : 0.0);
+                      });
+  const Throttling found = throttling_of(builder.run);
+  const auto& spans = found.sources.at(0).active.spans();
+  ASSERT_EQ(spans.size(), 100u) << "99 stops, and the first piece of one more";
+  EXPECT_NEAR(static_cast<double>(spans[5].end_ns - spans[5].begin_ns), 60e6, 1.1e6);
+}
+
 TEST(Throttling, AStopOfTheSamplerSaysForHowLongAllCpusStood) {
   // Two CPUs, the sampler inside the group: of 100 ms all stand still for 30 ms and one for 50 ms,
   // so 80 ms appear with the first reading after 30 ms without any.
@@ -370,6 +384,23 @@ TEST(DeviceClock, ReadAtTheEndOfAFrameIsThatOfTheFrame) {
   ASSERT_TRUE(clock);
   EXPECT_NEAR(*clock->over(begin_ns + 5000 * ms, begin_ns + 5010 * ms), 0.5, 1e-12);
   EXPECT_NEAR(*clock->over(begin_ns + 5010 * ms, begin_ns + 5020 * ms), 1, 1e-12);
+}
+
+TEST(DeviceClock, AtRestIsNotThatOfTheFirstFrames) {
+  // Two trials of 1 s with 2 s of rest between them; the clock is read every 100 ms.
+  RunBuilder builder;
+  builder.add_trial("m", 0, "A", std::vector<double>(100, 10.0));
+  builder.now_ns += 2000 * ms;
+  builder.add_trial("m", 0, "A", std::vector<double>(100, 10.0));
+  builder.add_channel("i915.gt0.act_freq", Quantity::frequency, Unit::megahertz, Kind::gauge,
+                      100 * ms, 41,
+                      [](std::size_t i) { return i >= 10 && i <= 30 ? 300.0 : 1300.0; });
+  for (int64_t& t_ns : builder.run.series.begin()->second.t_ns) t_ns += 50 * ms;
+  const Analysis analysis = analyze(builder.run);
+  const auto clock = device_clock(builder.run, timed_frames(builder.run, analysis.cells));
+  ASSERT_TRUE(clock);
+  EXPECT_FALSE(clock->over(begin_ns + 3010 * ms, begin_ns + 3020 * ms)) << "nobody looked yet";
+  EXPECT_NEAR(*clock->over(begin_ns + 3200 * ms, begin_ns + 3210 * ms), 1, 1e-12);
 }
 
 TEST(DeviceClock, PrefersTheGpuAndLeavesOutSleepAndWishes) {
