@@ -41,14 +41,17 @@ std::string ranking_text(const analysis::Analysis& result) {
   size_t name_width = 9;
   for (const analysis::RankingRow& row : result.ranking)
     name_width = std::max(name_width, columns_of(row.algorithm));
-  std::string text =
-      fmt::format("rank  {}  {:>8}  {:>10}  {:>8}  {}\n", padded("algorithm", name_width),
-                  "score ms", "times best", "outliers", "net energy/ray, 95 %");
+  const auto line = [&](const auto& rank, const std::string& algorithm, const std::string& score,
+                        const auto& outliers, const std::string& energy) {
+    return fmt::format("{:>2}  {}  {}  {:>8}  {}\n", rank, padded(algorithm, name_width),
+                       padded(score, 24), outliers, energy);
+  };
+  std::string text = line("#", "algorithm", "score, 95 %", "outliers", "net energy/ray, 95 %");
   for (const analysis::RankingRow& row : result.ranking)
-    text +=
-        fmt::format("{:>4}  {}  {:>8.3f}  {:>10.3f}  {:>8}  {}\n", row.rank,
-                    padded(row.algorithm, name_width), row.score_ms, row.normalized,
-                    outlier_count[row.algorithm], analysis::energy_of_text(result, row.algorithm));
+    text += line(
+        row.rank, row.algorithm,
+        analysis::estimate_text(analysis::Estimate{row.score_ms, row.score_interval_ms}, 1e-3, "s"),
+        outlier_count[row.algorithm], analysis::energy_of_text(result, row.algorithm));
   return text;
 }
 
