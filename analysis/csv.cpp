@@ -72,4 +72,10 @@ void write_samples_csv(const RunRecord& run, std::ostream& out) {
   }
 }
 
+void write_meta_csv(const RunRecord& run, std::ostream& out) {
+  out << "key,value\r\n";
+  for (const auto& [key, value] : run.meta)
+    fmt::print(out, "{},{}\r\n", quoted(key), quoted(value));
+}
+
 }  // namespace energyprof::analysis

@@ -144,8 +144,10 @@ std::vector<fs::path> export_csv(const RunRecord& run, const fs::path& directory
   const fs::path frames_file = directory / "frames.csv";
   const fs::path samples_file = directory / "samples.csv";
   write_file(frames_file, [&](std::ostream& out) { write_frames_csv(run, out); });
+  const fs::path meta_file = directory / "meta.csv";
   write_file(samples_file, [&](std::ostream& out) { write_samples_csv(run, out); });
-  return {frames_file, samples_file};
+  write_file(meta_file, [&](std::ostream& out) { write_meta_csv(run, out); });
+  return {frames_file, samples_file, meta_file};
 }
 
 void export_timeline(const RunRecord& run, const fs::path& file, const TimelineConfig& timeline,

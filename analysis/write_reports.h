@@ -17,7 +17,7 @@ std::vector<std::filesystem::path> write_reports(const RunRecord& run, const Ana
                                                  const std::filesystem::path& directory,
                                                  const TimelineConfig& timeline = {});
 
-/// Writes frames.csv and samples.csv into `directory`, which is made if need be; as
+/// Writes frames.csv, samples.csv and meta.csv into `directory`, which is made if need be; as
 /// write_reports().
 std::vector<std::filesystem::path> export_csv(const RunRecord& run,
                                               const std::filesystem::path& directory);

@@ -75,5 +75,16 @@ TEST(Csv, SamplesKeepTheirValueAndUnit) {
                                       "rapl.package-0.energy", "energy", "uJ", "262143328851"}));
 }
 
+TEST(Csv, MetaSaysWhatTheRunWas) {
+  RunBuilder builder;
+  builder.run.meta = {{"config", "{\"name\": \"a, b\"}"}, {"simulated", "1"}};
+  std::ostringstream out;
+  write_meta_csv(builder.run, out);
+  EXPECT_EQ(parse(out.str()),
+            (std::vector<std::vector<std::string>>{{"key", "value"},
+                                                   {"config", "{\"name\": \"a, b\"}"},
+                                                   {"simulated", "1"}}));
+}
+
 }  // namespace
 }  // namespace energyprof::analysis

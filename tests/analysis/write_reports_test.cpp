@@ -127,8 +127,11 @@ TEST_F(WriteReports, LeavesTheOldFileWhenTheDiskIsFull) {
 
 TEST_F(WriteReports, ExportsCsvIntoANewDirectory) {
   const auto files = export_csv(planted::laptop_run(), directory_ / "a" / "b");
-  ASSERT_EQ(files.size(), 2u);
-  for (const fs::path& file : files) EXPECT_GT(fs::file_size(file), 1000u);
+  ASSERT_EQ(files.size(), 3u);
+  EXPECT_GT(fs::file_size(files[0]), 1000u);
+  EXPECT_GT(fs::file_size(files[1]), 1000u);
+  EXPECT_EQ(files[2].filename(), "meta.csv");
+  EXPECT_TRUE(fs::exists(files[2]));
 }
 
 }  // namespace

@@ -51,7 +51,7 @@ std::vector<std::string> lines_of(const std::string& text) {
 TEST(Summary, FitsATerminalOf80Columns) {
   const std::string text = summary_text(priced_study(), 80);
   for (const std::string& line : lines_of(text)) EXPECT_LE(columns_of(line), 80u) << line;
-  EXPECT_THAT(text, HasSubstr("1.235 s (1.230 to 1.240)"));
+  EXPECT_THAT(text, HasSubstr("1.23 s (1.23 to 1.24)"));
   EXPECT_THAT(text, HasSubstr("80.0 nJ (79.6 to 80.5)"));
   EXPECT_THAT(text, HasSubstr("123456"));
 }

@@ -470,6 +470,7 @@ TEST_F(Tracing, ExportsCsvAndTimeline) {
   const std::string frames = read_text(dir_ / "csv/frames.csv");
   EXPECT_EQ(std::count(frames.begin(), frames.end(), '\n'), 1 + 30);
   EXPECT_GT(fs::file_size(dir_ / "csv/samples.csv"), 100u);
+  EXPECT_THAT(read_text(dir_ / "csv/meta.csv"), HasSubstr("\nsimulated,0\r\n"));
   const std::string timeline = (dir_ / "t.json").string();
   ASSERT_EQ(
       program({"export", out().string(), "--format", "timeline", "--full", "--out", timeline}).code,
