@@ -81,9 +81,8 @@ TEST(Csv, MetaSaysWhatTheRunWas) {
   std::ostringstream out;
   write_meta_csv(builder.run, out);
   EXPECT_EQ(parse(out.str()),
-            (std::vector<std::vector<std::string>>{{"key", "value"},
-                                                   {"config", "{\"name\": \"a, b\"}"},
-                                                   {"simulated", "1"}}));
+            (std::vector<std::vector<std::string>>{
+                {"key", "value"}, {"config", "{\"name\": \"a, b\"}"}, {"simulated", "1"}}));
 }
 
 }  // namespace
