@@ -4,7 +4,6 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
-#include <boost/math/distributions/students_t.hpp>
 #include <cassert>
 #include <cmath>
 #include <map>
@@ -403,11 +402,9 @@ std::optional<Uncertainty> uncertainty(const Series& x, const Series& y, double 
   const MeanError error = mean_error(seen);
   const double share = static_cast<double>(seen.size()) / n;
   if (error.freedom < 1) return std::nullopt;
-  const boost::math::students_t t(error.freedom);
   const double standard_error =
       std::max(error.standard_error * share / (1 - r * r), unrelated_error);
-  const double reach = boost::math::quantile(t, 0.975) * standard_error;
-  return Uncertainty{std::atanh(r), reach};
+  return Uncertainty{std::atanh(r), t_reach(error.freedom) * standard_error};
 }
 
 /// The interval of a coefficient that was chosen as the largest over many lags. Where others could

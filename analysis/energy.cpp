@@ -3,8 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <boost/math/distributions/students_t.hpp>
-#include <cctype>
 #include <cmath>
 #include <limits>
 #include <map>
@@ -44,8 +42,6 @@ constexpr double min_scatter_freedom = 10;
 constexpr double max_window_correlation = 0.8;
 /// And below which trials say nothing about how trials differ.
 constexpr double min_trial_freedom = 3;
-
-double seconds(int64_t duration_ns) { return static_cast<double>(duration_ns) * 1e-9; }
 
 struct Stretch {
   int64_t begin_ns = 0;
@@ -96,18 +92,8 @@ struct Scatter {
   double variance = 0;  // of the energy of one
 };
 
-std::string lower(std::string text) {
-  std::transform(text.begin(), text.end(), text.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  return text;
-}
-
-double t_quantile(double freedom) {
-  return boost::math::quantile(boost::math::students_t(std::max(freedom, 1.0)), 0.975);
-}
-
 Estimate around(double value, double standard_error, double freedom) {
-  const double reach = t_quantile(freedom) * standard_error;
+  const double reach = t_reach(freedom) * standard_error;
   return {value, {value - reach, value + reach}, standard_error, freedom};
 }
 
@@ -983,7 +969,7 @@ std::string_view to_string(EnergyDomain domain) {
 }
 
 EnergyDomain energy_domain(const Channel& channel) {
-  const std::string name = lower(channel.name);
+  const std::string name = lower_case(channel.name);
   const auto has = [&](std::string_view part) { return name.find(part) != std::string::npos; };
   if (has("psys") || has("platform")) return EnergyDomain::platform;
   if (has("dram") || has("vdd_ddr")) return EnergyDomain::dram;

@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <bit>
 #include <boost/math/distributions/beta.hpp>
-#include <boost/math/distributions/students_t.hpp>
 #include <cmath>
 #include <numeric>
 #include <span>
@@ -127,8 +126,7 @@ Interval jackknife_interval(double share, std::span<const double> without_one, d
   for (double value : without_one) z.push_back(z_of(value));
   const auto count = static_cast<double>(z.size());
   const double standard_error = stddev(z).value_or(0) * (count - 1) / std::sqrt(count);
-  const boost::math::students_t t(std::max(freedom, 1.0));
-  const double reach = boost::math::quantile(t, 0.975) * standard_error;
+  const double reach = t_reach(freedom) * standard_error;
   return {share_of(z_of(share) - reach), share_of(z_of(share) + reach)};
 }
 

@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <cctype>
 #include <cmath>
 
 #include "analysis/prefix.h"
@@ -59,6 +61,12 @@ AxisUnit axis_unit(std::string_view si) {
   if (si == "1" || si == "s/s") return {"%", 100};
   if (si == "count/s") return {"1/s", 1};
   return {std::string(si), 1};
+}
+
+std::string lower_case(std::string text) {
+  std::transform(text.begin(), text.end(), text.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return text;
 }
 
 std::string counted(std::size_t count, std::string_view noun) {

@@ -23,6 +23,9 @@ struct AxisUnit {
 /// The axis for values in `si` ("Hz" gives MHz, "1" gives %); other units stay as they are.
 AxisUnit axis_unit(std::string_view si);
 
+/// ASCII letters in lower case: names that others wrote.
+std::string lower_case(std::string text);
+
 /// "1 frame", "2 frames".
 std::string counted(std::size_t count, std::string_view noun);
 

@@ -14,8 +14,6 @@ namespace {
 
 constexpr std::size_t min_update_count = 8;
 
-double seconds(int64_t duration_ns) { return static_cast<double>(duration_ns) * 1e-9; }
-
 /// The `share` quantile of `values`, one of them; nullopt of none.
 std::optional<int64_t> order_statistic(std::vector<int64_t> values, double share) {
   if (values.empty()) return std::nullopt;

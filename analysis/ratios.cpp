@@ -1,7 +1,6 @@
 #include "analysis/ratios.h"
 
 #include <algorithm>
-#include <boost/math/distributions/students_t.hpp>
 #include <cassert>
 #include <cmath>
 #include <numbers>
@@ -164,8 +163,7 @@ class Variance {
   [[nodiscard]] double reach(double level) const {
     if (value_ == 0) return 0;
     const double freedom = own_variance_ > 0 ? 2 * value_ * value_ / own_variance_ : 1e6;
-    const boost::math::students_t t(std::clamp(freedom, 1.0, 1e6));
-    return boost::math::quantile(t, 0.5 + level / 2) * std::sqrt(value_);
+    return t_reach(freedom, level) * std::sqrt(value_);
   }
 
  private:

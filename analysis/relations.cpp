@@ -4,7 +4,6 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 #include <map>
 #include <string>
@@ -73,12 +72,6 @@ ChannelSignal signal_of(const RunRecord& run, const Channel& channel,
   return signal;
 }
 
-std::string lower(std::string text) {
-  std::transform(text.begin(), text.end(), text.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  return text;
-}
-
 /// The channel of a quantity whose name has the earliest of `words` in it; else the first that was
 /// recorded. nullptr where there is none with values.
 const ChannelSignal* choose(std::span<const ChannelSignal> signals, Quantity quantity,
@@ -87,7 +80,7 @@ const ChannelSignal* choose(std::span<const ChannelSignal> signals, Quantity qua
   std::size_t best_place = 0;
   for (const ChannelSignal& signal : signals) {
     if (signal.quantity != quantity || !signal.unusable.empty()) continue;
-    const std::string name = lower(signal.name);
+    const std::string name = lower_case(signal.name);
     std::size_t place = 0;
     for (const std::string_view word : words) {
       if (name.find(word) != std::string::npos) break;

@@ -3,8 +3,9 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cctype>
 #include <charconv>
+
+#include "analysis/format.h"
 
 namespace energyprof::analysis {
 namespace {
@@ -171,10 +172,7 @@ RunFacts read_facts(const RunRecord& run, std::vector<std::string>& warnings) {
 }
 
 bool is_cpu_device(const RunFacts& facts) {
-  std::string type = text_member(facts.device, "type");
-  std::transform(type.begin(), type.end(), type.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  return type == "cpu";
+  return lower_case(text_member(facts.device, "type")) == "cpu";
 }
 
 DeviceType device_type(const RunFacts& facts) {

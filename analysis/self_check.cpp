@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <array>
-#include <boost/math/distributions/students_t.hpp>
 #include <cmath>
 #include <map>
 #include <vector>
@@ -60,9 +59,7 @@ std::optional<OnOffDifference> estimate(const std::vector<double>& differences) 
   const auto deviation = stddev(differences);
   if (!deviation) return std::nullopt;
   const auto count = static_cast<double>(differences.size());
-  const boost::math::students_t distribution(count - 1);
-  const double reach = boost::math::quantile(boost::math::complement(distribution, 0.025)) *
-                       *deviation / std::sqrt(count);
+  const double reach = t_reach(count - 1) * *deviation / std::sqrt(count);
   const double value = mean(differences);
   return OnOffDifference{value, {value - reach, value + reach}};
 }

@@ -12,6 +12,8 @@
 
 namespace energyprof::analysis {
 
+inline double seconds(int64_t duration_ns) { return static_cast<double>(duration_ns) * 1e-9; }
+
 /// The unit of `channel` as stored, also when this version has no name for it.
 std::string stored_unit(const Channel& channel);
 

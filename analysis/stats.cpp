@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <boost/math/distributions/binomial.hpp>
+#include <boost/math/distributions/students_t.hpp>
 #include <cassert>
 #include <cmath>
 #include <numeric>
@@ -65,6 +66,11 @@ std::optional<double> stddev(std::span<const double> values) {
   double sum = 0;
   for (double value : values) sum += (value - centre) * (value - centre);
   return std::sqrt(sum / static_cast<double>(values.size() - 1));
+}
+
+double t_reach(double freedom, double level) {
+  const boost::math::students_t t(std::clamp(freedom, 1.0, 1e6));
+  return boost::math::quantile(boost::math::complement(t, (1 - level) / 2));
 }
 
 std::optional<Interval> median_interval(std::span<const double> values, double level) {

@@ -32,6 +32,10 @@ double truncated_mean(std::span<const double> values, double truncate);
 /// Sample standard deviation (divisor n - 1); nullopt for fewer than two values.
 std::optional<double> stddev(std::span<const double> values);
 
+/// How many standard errors an interval of Student's t at `level` reaches to each side. Degrees of
+/// freedom below 1 count as 1.
+double t_reach(double freedom, double level = 0.95);
+
 /// Confidence interval of the median between two order statistics. The number of values below the
 /// true median is binomial(n, 1/2), so the interval needs no assumption on the distribution and
 /// covers at least `level`. nullopt when no pair of values does: fewer than 6 for 95 %.

@@ -19,7 +19,7 @@ namespace energyprof::probe {
 namespace {
 
 constexpr int64_t retry_rarely_ns = ns_per_s;
-constexpr int64_t path_check_ns = 100 * ns_per_ms;
+constexpr int64_t path_check_ns = 50 * ns_per_ms;
 
 int open_to_read(const std::string& path) {
   // O_NOFOLLOW: all links were followed inside the root already; a new one could lead out of it.

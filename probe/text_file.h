@@ -32,7 +32,7 @@ std::optional<int64_t> find_int(std::string_view text, std::string_view key);
 
 /// One file, opened once and read from its start each time, as sysfs wants it. Below a --root a
 /// file that was replaced meanwhile is opened anew, so that a run follows what happens there:
-/// within 100 ms after a rename or removal, at once when it is written in place.
+/// within 50 ms after a rename or removal, at once when it is written in place.
 class TextFile {
  public:
   /// Never fails; a file that cannot be opened says so at each read().
