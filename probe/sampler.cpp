@@ -33,11 +33,17 @@ constexpr int64_t gap_report_ns = ns_per_s;
 constexpr int64_t cpu_time_report_ns = 250 * ns_per_ms;
 constexpr int64_t never = std::numeric_limits<int64_t>::max();
 
+// Adds to a count that only this thread writes: a locked addition would cost more.
+void add_to(std::atomic<int64_t>& count, int64_t more) {
+  count.store(count.load(std::memory_order_relaxed) + more, std::memory_order_relaxed);
+}
+
 // Counts of durations in buckets that are at most one eighth wide.
 class Histogram {
  public:
+  // For one thread.
   void add(int64_t value_ns) {
-    counts_[bucket(value_ns)].fetch_add(1, std::memory_order_relaxed);
+    add_to(counts_[bucket(value_ns)], 1);
     if (value_ns > max_.load(std::memory_order_relaxed))
       max_.store(value_ns, std::memory_order_relaxed);
   }
@@ -96,23 +102,25 @@ struct Gap {
 };
 
 // The newest sample of a channel, written by one thread. t_ns is 0 while it changes, so that a
-// reader who sees one t_ns before and after reading the value has a pair that belongs together. All
-// that a sample touches of its channel is here: between two ticks other work takes the caches.
+// reader who sees one t_ns before and after reading the value has a pair that belongs together: who
+// reads a new value sees, by release and acquire, that t_ns is no longer the old one. All that a
+// sample touches of its channel is here: between two ticks other work takes the caches.
 struct LatestSlot {
   int32_t channel_id = 0;
   std::atomic<int64_t> t_ns{0};
   std::atomic<int64_t> value{0};
 
   void store(const Reading& reading) {
-    t_ns.store(0);
-    value.store(reading.value);
-    t_ns.store(reading.t_ns);
+    t_ns.store(0, std::memory_order_relaxed);
+    value.store(reading.value, std::memory_order_release);
+    t_ns.store(reading.t_ns, std::memory_order_release);
   }
   [[nodiscard]] std::optional<Sampler::Latest> load() const {
     constexpr int tries = 100;
     for (int i = 0; i < tries; ++i) {
-      const Sampler::Latest latest{t_ns.load(), value.load()};
-      if (latest.t_ns != 0 && latest.t_ns == t_ns.load()) return latest;
+      const Sampler::Latest latest{t_ns.load(std::memory_order_acquire),
+                                   value.load(std::memory_order_acquire)};
+      if (latest.t_ns != 0 && latest.t_ns == t_ns.load(std::memory_order_relaxed)) return latest;
     }
     return std::nullopt;
   }
@@ -172,7 +180,6 @@ struct Shared {
   std::atomic<bool> idle{false};
   std::atomic<int64_t> tick_count{0};
   std::atomic<int64_t> missed_tick_count{0};
-  std::atomic<int64_t> sample_count{0};
   std::atomic<int64_t> lost_sample_count{0};
   std::atomic<int64_t> lost_event_count{0};
   Histogram lateness;
@@ -224,6 +231,9 @@ class Lane {
     events_.consume_all([&](const RawEvent& raw) { events.push_back(describe(raw)); });
   }
   [[nodiscard]] int64_t cpu_ns() const { return cpu_ns_.load(std::memory_order_relaxed); }
+  [[nodiscard]] int64_t sample_count() const {
+    return sample_count_.load(std::memory_order_relaxed);
+  }
 
  private:
   // A source and when it is due.
@@ -261,18 +271,18 @@ class Lane {
       if ((seen & Orders::pause_bit) != 0) continue;
       if (!is_slow_) shared_.lateness.add(woke_ns - deadline_ns);
       const int64_t missed = serve((woke_ns - begin_ns_) / shared_.tick_ns);
-      if (!is_slow_) shared_.tick_count.fetch_add(1, std::memory_order_relaxed);
+      if (!is_slow_) add_to(shared_.tick_count, 1);
       if (missed > 0) {
         shared_.missed_tick_count.fetch_add(missed, std::memory_order_relaxed);
         missed_gap_.add(deadline_ns, woke_ns, missed);
       }
-      report_gaps(gap_report_ns);
+      report_gaps(woke_ns, gap_report_ns);
       if (woke_ns - cpu_reported_ns >= cpu_time_report_ns) {
         cpu_ns_.store(cpu_before_ns + thread_cpu_ns(), std::memory_order_relaxed);
         cpu_reported_ns = woke_ns;
       }
     }
-    report_gaps(0);
+    report_gaps(now_ns(), 0);
     cpu_ns_.store(cpu_before_ns + thread_cpu_ns(), std::memory_order_relaxed);
   }
 
@@ -349,7 +359,7 @@ class Lane {
 
   void push(const Sample& sample) {
     if (samples_.push(sample)) {
-      shared_.sample_count.fetch_add(1, std::memory_order_relaxed);
+      add_to(sample_count_, 1);
     } else {
       shared_.lost_sample_count.fetch_add(1, std::memory_order_relaxed);
       lost_gap_.add(sample.t_ns, sample.t_ns, 1);
@@ -360,12 +370,11 @@ class Lane {
     if (!events_.push(event)) shared_.lost_event_count.fetch_add(1, std::memory_order_relaxed);
   }
 
-  // Turns gaps that began at least `age_ns` ago into events.
-  void report_gaps(int64_t age_ns) {
-    const int64_t now = now_ns();
+  // Turns gaps that began at least `age_ns` before `at_ns` into events.
+  void report_gaps(int64_t at_ns, int64_t age_ns) {
     for (auto [gap, what] : {std::pair{&missed_gap_, Happening::missed_ticks},
                              std::pair{&lost_gap_, Happening::samples_lost}}) {
-      if (gap->count == 0 || now - gap->begin_ns < age_ns) continue;
+      if (gap->count == 0 || at_ns - gap->begin_ns < age_ns) continue;
       push({what, gap->begin_ns, gap->end_ns, gap->count, 0});
       *gap = {};
     }
@@ -418,6 +427,7 @@ class Lane {
   boost::lockfree::spsc_queue<RawEvent> events_;
   std::atomic<uint32_t> done_{std::numeric_limits<uint32_t>::max()};  // the last order obeyed
   std::atomic<int64_t> cpu_ns_{0};
+  std::atomic<int64_t> sample_count_{0};
 
   // The thread's own.
   std::vector<Task> tasks_;
@@ -550,10 +560,12 @@ Sampler::Stats Sampler::stats() const {
   Stats stats;
   stats.tick_count = shared.tick_count.load(std::memory_order_relaxed);
   stats.missed_tick_count = shared.missed_tick_count.load(std::memory_order_relaxed);
-  stats.sample_count = shared.sample_count.load(std::memory_order_relaxed);
   stats.lost_sample_count = shared.lost_sample_count.load(std::memory_order_relaxed);
   stats.lost_event_count = shared.lost_event_count.load(std::memory_order_relaxed);
-  for (const auto& lane : impl_->lanes) stats.cpu_ns += lane->cpu_ns();
+  for (const auto& lane : impl_->lanes) {
+    stats.cpu_ns += lane->cpu_ns();
+    stats.sample_count += lane->sample_count();
+  }
   stats.thread_count = static_cast<int64_t>(impl_->lanes.size());
   stats.lateness_p50_ns = shared.lateness.quantile(0.50);
   stats.lateness_p99_ns = shared.lateness.quantile(0.99);
