@@ -369,27 +369,31 @@ class Judge {
     std::vector<std::optional<double>> waits(frames_.size());
     for (std::size_t i = 0; i < frames_.size(); ++i)
       waits[i] = said_by(*wait, {frames_[i].begin_ns, frames_[i].end_ns});
-    const Reference reference(frames_, normal_, waits);
-    Tail tail(wait->resolution_ns());
-    for (std::size_t i = 0; i < frames_.size(); ++i)
-      if (normal_[i] && waits[i]) tail.add(frames_[i], *waits[i]);
-    tail.sort();
+    const std::vector<bool> undisturbed = normal_without_stops(wait->resolution_ns());
+    const Reference reference(frames_, undisturbed, waits);
+    const Tail tail = beyond_usual(*wait, undisturbed, waits, reference);
     if (tail.count() < min_cell_reference) return;
     for (std::size_t c = 0; c < cases_.size(); ++c) {
       const Case& one = cases_[c];
       const TimedFrame& frame = *one.frame;
       const auto& rate = waits[one.slow->frame];
-      const Window around{frame.begin_ns - company_ns / 2, frame.end_ns + company_ns / 2};
+      // At the ends of a run less was read.
+      const Window around{
+          std::max({frame.begin_ns - company_ns / 2, busy->t_ns().front(), own->t_ns().front()}),
+          std::min({frame.end_ns + company_ns / 2, busy->t_ns().back(), own->t_ns().back()})};
+      if (around.end_ns - around.begin_ns < company_ns / 4) continue;
       const auto all_s = busy->over(around.begin_ns, around.end_ns);
       const auto own_s = own->over(around.begin_ns, around.end_ns);
       const auto stop = stop_before(frame);
       if (!rate || !all_s || !own_s || !stop) continue;
-      const double expected = reference.of(frame).value_or(tail.quantile_of(0.5));
+      const auto expected = reference.of(frame);
+      if (!expected) continue;
       const double length_s = frame.ms * 1e-3;
-      const double waited_s = (*rate - expected) * length_s;
+      const double waited_s = (*rate - *expected) * length_s;
       if (waited_s < 0.5 * one.excess_s || (*all_s - *own_s) * length_s > 0.5 * waited_s) continue;
-      after_stops_[c] = Look{
-          ratio_against(tail, *rate), {{"process.cpu_wait", *rate, expected, "s/s"}, *stop}, true};
+      after_stops_[c] = Look{ratio_against(tail, waited_s),
+                             {{"process.cpu_wait", *rate, *expected, "s/s"}, *stop},
+                             true};
     }
   }
 
@@ -729,6 +733,20 @@ class Judge {
     return count >= min_trial_reference ? clear : normal_;
   }
 
+  /// Of a share of time: the seconds by which normal frames go beyond what is usual. A frame that
+  /// waited for long and a short one that waited all its time have the same rate, and only the
+  /// first one is slow.
+  [[nodiscard]] Tail beyond_usual(const ChannelTrack& track, const std::vector<bool>& normal,
+                                  const std::vector<std::optional<double>>& rates,
+                                  const Reference& reference) const {
+    Tail tail(track.resolution_ns());
+    for (std::size_t i = 0; i < frames_.size(); ++i)
+      if (const auto expected = reference.of(frames_[i]); normal[i] && rates[i] && expected)
+        tail.add(frames_[i], (*rates[i] - *expected) * frames_[i].ms * 1e-3);
+    tail.sort();
+    return tail;
+  }
+
   void look_at_interference(const Told& told) {
     const auto& [channel, track, rates] = told;
     const bool is_counter = channel->kind == Kind::cumulative;
@@ -739,17 +757,10 @@ class Judge {
     const std::vector<bool> undisturbed = normal_without_stops(track.resolution_ns());
     const Reference reference(frames_, undisturbed, rates);
     Tail tail(track.resolution_ns());
-    // Seconds beyond the usual: a frame that waited for long and a short one that waited all its
-    // time have the same rate, and only the first one is slow.
-    Tail tail_s(track.resolution_ns());
-    for (std::size_t i = 0; i < frames_.size(); ++i) {
-      if (!undisturbed[i] || !rates[i]) continue;
-      tail.add(frames_[i], *rates[i]);
-      if (const auto expected = reference.of(frames_[i]))
-        tail_s.add(frames_[i], (*rates[i] - *expected) * frames_[i].ms * 1e-3);
-    }
+    for (std::size_t i = 0; i < frames_.size(); ++i)
+      if (undisturbed[i] && rates[i]) tail.add(frames_[i], *rates[i]);
     tail.sort();
-    tail_s.sort();
+    const Tail tail_s = beyond_usual(track, undisturbed, rates, reference);
     if (tail.count() < min_cell_reference) return;
     const double usual = tail.quantile_of(0.9);
     for (std::size_t c = 0; c < cases_.size(); ++c) {

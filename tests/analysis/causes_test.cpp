@@ -233,10 +233,10 @@ TEST(Cause, IsAQuotaThatStopsEveryFrameButThisOneMore) {
 }
 
 /// 200 frames of 10 ms on two processors under a quota: each fourth of the first `stopped` takes
-/// 85 ms, 75 of them stopped. Frames 21, 61, 101, 141 and 181, each the second after a
-/// stop where there are stops, take 16 ms, in which their threads wait 10 ms for each other.
+/// 85 ms, 75 of them stopped. Frame `first` and each 40th from there, the second after a stop where
+/// there are stops, take 16 ms, in which their threads wait 10 ms for each other.
 struct Crowding {
-  explicit Crowding(std::size_t stopped = 200) {
+  explicit Crowding(std::size_t stopped = 200, std::size_t first = 21) : first_crowded(first) {
     std::vector<double> times_ms;
     for (std::size_t i = 0; i < 200; ++i) {
       const double noise_ms = 0.1 * static_cast<double>(i % 3);
@@ -247,10 +247,10 @@ struct Crowding {
     counter("cgroup.cpu.throttled", Quantity::interference,
             [=](std::size_t i) { return i < stopped && i % 4 == 3 ? 150e6 : 0.0; });
     counter("process.cpu_wait", Quantity::interference,
-            [](std::size_t i) { return is_crowded(i) ? 10e6 : 0.5e6; });
+            [this](std::size_t i) { return is_crowded(i) ? 10e6 : 0.5e6; });
     counter("process.cpu_time", Quantity::utilization, [](std::size_t) { return 19e6; });
   }
-  static bool is_crowded(std::size_t i) { return i % 40 == 21; }
+  [[nodiscard]] bool is_crowded(std::size_t i) const { return i % 40 == first_crowded; }
   /// A counter of nanoseconds that rises by so much during frame i.
   void counter(const std::string& name, Quantity quantity,
                const std::function<double(std::size_t)>& of_frame) {
@@ -277,7 +277,16 @@ struct Crowding {
 
   RunBuilder builder;
   std::size_t count = 0;
+  std::size_t first_crowded;
 };
+
+TEST(Cause, IsTheQuotaAlsoWhereARunHasJustBegun) {
+  // Frame 5 begins at 135 ms: half a second before it nothing was read.
+  Crowding crowding(/*stopped=*/200, /*first=*/5);
+  crowding.counter("proc.stat.busy", Quantity::utilization, [](std::size_t) { return 19.5e6; });
+  for (const Attribution& found : crowding.found())
+    EXPECT_EQ(to_string(found.cause), to_string(Cause::throttle_other));
+}
 
 TEST(Cause, IsTheQuotaWhereOwnThreadsCrowdAfterAStop) {
   Crowding crowding;

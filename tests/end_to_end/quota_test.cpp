@@ -15,7 +15,9 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <set>
 
+#include "core/run_db.h"
 #include "tests/end_to_end/program.h"
 
 namespace energyprof {
@@ -114,16 +116,57 @@ class Quota : public testing::Test {
     return std::max(width / 16 * 16, 64);
   }
 
+  /// What a counter rose by, interpolated between its readings; 0 beyond them.
+  static double rise(const SampleSeries& series, int64_t begin_ns, int64_t end_ns) {
+    const auto at = [&](int64_t t_ns) {
+      const auto next = std::lower_bound(series.t_ns.begin(), series.t_ns.end(), t_ns);
+      if (next == series.t_ns.begin()) return series.value.front();
+      if (next == series.t_ns.end()) return series.value.back();
+      const auto i = static_cast<std::size_t>(next - series.t_ns.begin());
+      const double share = static_cast<double>(t_ns - series.t_ns[i - 1]) /
+                           static_cast<double>(series.t_ns[i] - series.t_ns[i - 1]);
+      return series.value[i - 1] + share * (series.value[i] - series.value[i - 1]);
+    };
+    return at(end_ns) - at(begin_ns);
+  }
+
+  /// The frames that took a fifth more CPU time than the middle one, for the same work: then the
+  /// processors themselves were slower, as those of a virtual machine are at times, and no quota
+  /// did that.
+  static std::set<int64_t> frames_on_slower_processors(const RunRecord& run) {
+    const auto channel =
+        std::find_if(run.channels.begin(), run.channels.end(),
+                     [](const Channel& c) { return c.name == "process.cpu_time"; });
+    if (channel == run.channels.end()) return {};
+    const SampleSeries& used = run.series.at(channel->id);
+    std::vector<double> times;
+    for (const FrameRecord& frame : run.frames)
+      if (frame.phase == Phase::timed) times.push_back(rise(used, frame.begin_ns, frame.end_ns));
+    std::nth_element(times.begin(), times.begin() + static_cast<std::ptrdiff_t>(times.size() / 2),
+                     times.end());
+    std::set<int64_t> slower;
+    for (const FrameRecord& frame : run.frames)
+      if (rise(used, frame.begin_ns, frame.end_ns) > 1.2 * times[times.size() / 2])
+        slower.insert(frame.id);
+    return slower;
+  }
+
   /// Outliers of a run, and how many of them were attributed to throttling.
   struct Count {
     std::size_t all = 0;
     std::size_t throttled = 0;
+    std::size_t left_out = 0;
     std::string text;
   };
   static void add_outliers(const fs::path& run, Count& count) {
     const json report = json::parse(test::read_text(run / "report.json"));
+    const std::set<int64_t> slower = frames_on_slower_processors(read_run(run));
     for (const json& outlier : report.at("outliers")) {
       const auto cause = outlier.at("cause").get<std::string>();
+      if (cause == "unexplained" && slower.contains(outlier.at("frame_id").get<int64_t>())) {
+        ++count.left_out;
+        continue;
+      }
       ++count.all;
       count.throttled += cause.starts_with("throttle") ? 1 : 0;
       count.text += fmt::format("{:.1f} x {} ({:.2f}); ", outlier.at("ratio").get<double>(), cause,
@@ -187,7 +230,8 @@ TEST_F(Quota, ThrottlingIsNamedWhereItIsAndNowhereElse) {
     GTEST_SKIP() << "other programs used too much of the CPUs (" << others_text
                  << " of one, run by run).";
   EXPECT_GE(with.all, 20u) << with.text;
-  EXPECT_GE(static_cast<double>(with.throttled), 0.95 * static_cast<double>(with.all)) << with.text;
+  EXPECT_GE(static_cast<double>(with.throttled), 0.95 * static_cast<double>(with.all))
+      << with.left_out << " on slower processors left out; " << with.text;
 }
 
 }  // namespace
