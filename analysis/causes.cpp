@@ -202,7 +202,11 @@ class Judge {
  public:
   Judge(const RunRecord& run, std::span<const TimedFrame> frames, const OutlierSearch& search,
         const Throttling& throttling)
-      : run_(run), frames_(frames), throttling_(throttling), normal_(frames.size(), true) {
+      : run_(run),
+        frames_(frames),
+        throttling_(throttling),
+        sleeps_(sleeps_of(run)),
+        normal_(frames.size(), true) {
     std::vector<Window> episodes(search.episode_count, Window{INT64_MAX, INT64_MIN});
     for (const SlowFrame& slow : search.slow) {
       normal_[slow.frame] = false;
@@ -231,16 +235,7 @@ class Judge {
       const Window stretch{frames[i].begin_ns, frames[last].end_ns};
       for (; i <= last; ++i) calm_[i] = stretch;
     }
-    std::map<std::size_t, Span> trials;
-    for (const TimedFrame& frame : frames) {
-      Span& trial =
-          trials.try_emplace(frame.trial_index, Span{frame.begin_ns, frame.end_ns}).first->second;
-      trial.begin_ns = std::min(trial.begin_ns, frame.begin_ns);
-      trial.end_ns = std::max(trial.end_ns, frame.end_ns);
-    }
-    std::vector<Span> spans;
-    for (const auto& [index, span] : trials) spans.push_back(span);
-    trials_ = SpanSet(std::move(spans));
+    trials_ = trial_spans(frames, &TimedFrame::trial_index);
     length_.assign(search.episode_count, 0);
     for (const SlowFrame& slow : search.slow) ++length_[slow.episode];
   }
@@ -414,7 +409,7 @@ class Judge {
       const auto series = run_.series.find(channel.id);
       if (channel.name == name && channel.kind == Kind::cumulative && series != run_.series.end() &&
           !series->second.t_ns.empty())
-        return ChannelTrack(channel, series->second, sleeps_of(run_));
+        return ChannelTrack(channel, series->second, sleeps_);
     }
     return std::nullopt;
   }
@@ -664,7 +659,7 @@ class Judge {
       if (channel.quantity == Quantity::cache_miss ||
           channel.quantity == Quantity::memory_traffic ||
           channel.quantity == Quantity::interference)
-        result.push_back({&channel, ChannelTrack(channel, series->second, sleeps_of(run_)), {}});
+        result.push_back({&channel, ChannelTrack(channel, series->second, sleeps_), {}});
     }
     tbb::parallel_for(std::size_t{0}, result.size(), [&](std::size_t c) {
       for (const TimedFrame& frame : frames_)
@@ -760,7 +755,8 @@ class Judge {
     for (std::size_t i = 0; i < frames_.size(); ++i)
       if (undisturbed[i] && rates[i]) tail.add(frames_[i], *rates[i]);
     tail.sort();
-    const Tail tail_s = beyond_usual(track, undisturbed, rates, reference);
+    const Tail tail_s =
+        is_share ? beyond_usual(track, undisturbed, rates, reference) : Tail(track.resolution_ns());
     if (tail.count() < min_cell_reference) return;
     const double usual = tail.quantile_of(0.9);
     for (std::size_t c = 0; c < cases_.size(); ++c) {
@@ -970,6 +966,7 @@ class Judge {
   const RunRecord& run_;
   std::span<const TimedFrame> frames_;
   const Throttling& throttling_;
+  std::vector<Sleep> sleeps_;
   std::vector<bool> normal_;
   std::vector<Window> calm_;  // by frame: the frames in a row around it that are as normal as it is
   std::vector<Case> cases_;

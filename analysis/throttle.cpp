@@ -4,7 +4,6 @@
 #include <array>
 #include <cctype>
 #include <cmath>
-#include <map>
 #include <nlohmann/json.hpp>
 #include <span>
 #include <string>
@@ -503,20 +502,6 @@ SpanSet busy_spans(std::span<const TimedFrame> frames) {
   return SpanSet(std::move(spans));
 }
 
-/// From the first frame of each trial to its last, warm-up included.
-SpanSet traced_spans(const RunRecord& run) {
-  std::map<int64_t, Span> by_trial;
-  for (const FrameRecord& frame : run.frames) {
-    Span& span =
-        by_trial.try_emplace(frame.trial_id, Span{frame.begin_ns, frame.end_ns}).first->second;
-    span.begin_ns = std::min(span.begin_ns, frame.begin_ns);
-    span.end_ns = std::max(span.end_ns, frame.end_ns);
-  }
-  std::vector<Span> spans;
-  for (const auto& [trial, span] : by_trial) spans.push_back(span);
-  return SpanSet(std::move(spans));
-}
-
 /// The mean power during `span` is that of a limit: above it, the limit does not hold yet.
 bool is_at_power(const std::vector<LimitedTrack>& powers, const Span& span) {
   return std::any_of(powers.begin(), powers.end(), [&](const LimitedTrack& track) {
@@ -746,7 +731,8 @@ std::optional<DeviceClock> device_clock(const RunRecord& run, std::span<const Ti
   if (gpu.empty() && kind == DeviceKind::gpu) return std::nullopt;
   DeviceClock clock;
   const SpanSet busy = busy_spans(frames);
-  const SpanSet traced = traced_spans(run);
+  // Warm-up included.
+  const SpanSet traced = trial_spans(run.frames, &FrameRecord::trial_id);
   for (const std::size_t c : gpu.empty() || (kind == DeviceKind::cpu && !cpu.empty()) ? cpu : gpu) {
     const Channel& channel = run.channels[c];
     SampleSeries awake;

@@ -1,8 +1,10 @@
 /// When something held the machine back, by whose word, and how well that could be seen.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <span>
 #include <string_view>
@@ -60,6 +62,22 @@ class SpanSet {
   std::vector<Span> spans_;
   std::vector<int64_t> total_ns_;  // of the spans before i
 };
+
+/// From the first frame of each trial to its last; `trial` is the member that names a frame's
+/// trial.
+template <class Frames, class Frame, class Trial>
+SpanSet trial_spans(const Frames& frames, Trial Frame::*trial) {
+  std::map<Trial, Span> by_trial;
+  for (const Frame& frame : frames) {
+    Span& span =
+        by_trial.try_emplace(frame.*trial, Span{frame.begin_ns, frame.end_ns}).first->second;
+    span.begin_ns = std::min(span.begin_ns, frame.begin_ns);
+    span.end_ns = std::max(span.end_ns, frame.end_ns);
+  }
+  std::vector<Span> spans;
+  for (const auto& [key, span] : by_trial) spans.push_back(span);
+  return SpanSet(std::move(spans));
+}
 
 /// Above this share of the frames' time a reason is how the machine runs, not something that
 /// happened to a frame.
